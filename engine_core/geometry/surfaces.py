@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points on surfaces: what a camera ray hits, and whether a light can be seen from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .raytracer import FAR, ClosestHits, RayTracer
+from .triangles import Triangles
+
+# A shadow ray to a point on a mesh ends this fraction short of it, or it would hit the light itself.
+SHORTFALL = np.float32(1.0 - 1e-4)
+
+
+@dataclass(eq=False)
+class SurfacePoints:
+    """M points on triangles, seen along rays; component first.
+
+    lane : (M,) int, which of the rays that were cast; None if every ray hit.
+    triangle : (M,) int32.
+    position : (3, M) float32.
+    geometric : (3, M) float32, unit normal of the triangle, towards the viewer.
+    normal : (3, M) float32, unit shading normal, on the same side of the surface as ``geometric``.
+    u, v : (M,) float32, barycentric weights of corners 1 and 2.
+    smooth : (M,) int32, row of `Triangles.normals` or -1; None if all are flat.
+    flipped : (M,) bool, seen from the back; None where no smooth triangle needs it.
+    """
+
+    lane: np.ndarray | None
+    triangle: np.ndarray
+    position: np.ndarray
+    geometric: np.ndarray
+    normal: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    smooth: np.ndarray | None
+    flipped: np.ndarray | None
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+
+class Surfaces:
+    """The triangles of a scene with their ray tracers; a second one only where shadows differ."""
+
+    def __init__(self, triangles: Triangles) -> None:
+        self.triangles = triangles
+        seen, casts = triangles.visible_to_camera, triangles.casts_shadow
+        self._camera_tracer, self._camera_rows = _tracer_of(triangles, seen)
+        if np.array_equal(seen, casts):
+            self._shadow_tracer = self._camera_tracer
+        else:
+            self._shadow_tracer, _ = _tracer_of(triangles, casts)
+
+    def first_hit(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float = FAR
+    ) -> tuple[SurfacePoints, np.ndarray]:
+        """What camera rays meet.
+
+        origins, directions : (N, 3) float32; the direction of an orthographic camera may be (1, 3).
+
+        Returns the points, and (M,) float32 their distances in lengths of the direction.
+        """
+        hits = self._camera_tracer.closest_hit(origins, directions, reach)
+        found = hits.triangle >= 0
+        lane = None
+        if not found.all():
+            lane = np.flatnonzero(found)
+            hits = ClosestHits(
+                hits.triangle[lane], hits.distance[lane], hits.u[lane], hits.v[lane], hits.normal[lane]
+            )
+            origins = origins[lane]
+            directions = directions if len(directions) == 1 else directions[lane]
+        triangle = hits.triangle if self._camera_rows is None else self._camera_rows[hits.triangle]
+        position = np.empty((3, len(triangle)), np.float32)
+        for i in range(3):
+            np.multiply(hits.distance, directions[:, i], out=position[i])
+            position[i] += origins[:, i]
+        geometric = np.ascontiguousarray(hits.normal.T)
+        flip = _dot_rows(geometric, directions) > 0
+        scale = _inverse_length(geometric)
+        geometric *= np.where(flip, -scale, scale)
+        points = SurfacePoints(
+            lane, triangle, position, geometric, geometric, hits.u, hits.v, None, None
+        )
+        if self.triangles.smooth is not None:
+            points.smooth = self.triangles.smooth[triangle]
+            points.flipped = flip
+            points.normal = self._shading_normal(points)
+        return points, hits.distance
+
+    def _shading_normal(self, points: SurfacePoints) -> np.ndarray:
+        """Interpolated normals (3, M), the geometric ones where a triangle is flat or they vanish."""
+        lanes = np.flatnonzero(points.smooth >= 0)
+        if lanes.size == 0:
+            return points.geometric
+        everywhere = lanes.size == len(points)
+        smooth, u, v, flipped = points.smooth, points.u, points.v, points.flipped
+        if not everywhere:
+            smooth, u, v, flipped = smooth[lanes], u[lanes], v[lanes], flipped[lanes]
+        rows = self.triangles.normals[smooth]
+        normal = np.empty((3, len(smooth)), np.float32)
+        for i in range(3):
+            normal[i] = rows[:, i] + u * rows[:, 3 + i] + v * rows[:, 6 + i]
+        length = _inverse_length(normal)
+        normal *= np.where(flipped, -length, length)
+        vanished = length == 0
+        if vanished.any():
+            where = np.flatnonzero(vanished)
+            normal[:, where] = points.geometric[:, lanes[where]]
+        if everywhere:
+            return normal
+        out = points.geometric.copy()
+        out[:, lanes] = normal
+        return out
+
+    def visible(
+        self,
+        points: SurfacePoints,
+        index: np.ndarray,
+        to_light: np.ndarray,
+        cos_shading: np.ndarray,
+        at_infinity: np.ndarray | bool,
+        shortened: np.ndarray | bool,
+    ) -> np.ndarray:
+        """(K,) bool: does light reach points[index] from where ``to_light`` leads?
+
+        index : (K,) into ``points``.
+        to_light : (3, K) float32, from the point to the light (any length if ``at_infinity``).
+        cos_shading : (K,) float32, cosine of it to the shading normal.
+        at_infinity, shortened : (K,) bool, or a bool for all: a light without a distance, and a light
+            that is itself among the triangles.
+        """
+        geometric = points.geometric[:, index]
+        triangle = points.triangle[index]
+        lift = self.triangles.offset[triangle]
+        offset = geometric * lift
+        if points.smooth is not None:
+            self._lift_terminator(points, index, triangle, to_light, cos_shading, geometric, offset)
+        origins = np.empty((len(index), 3), np.float32)
+        directions = np.empty((len(index), 3), np.float32)
+        finite = np.logical_not(at_infinity)
+        for i in range(3):
+            np.add(points.position[i][index], offset[i], out=origins[:, i])
+            if np.ndim(finite) == 0:
+                if finite:
+                    offset_i = offset[i]
+                    np.subtract(to_light[i], offset_i, out=directions[:, i])
+                else:
+                    directions[:, i] = to_light[i]
+            else:
+                np.subtract(to_light[i], offset[i] * finite, out=directions[:, i])
+        one = np.float32(1.0)
+        reach = np.where(at_infinity, FAR, np.where(shortened, SHORTFALL, one)).astype(np.float32)
+        return ~self._shadow_tracer.occluded(origins, directions, float(reach) if reach.ndim == 0 else reach)
+
+    def _lift_terminator(
+        self,
+        points: SurfacePoints,
+        index: np.ndarray,
+        triangle: np.ndarray,
+        to_light: np.ndarray,
+        cos_shading: np.ndarray,
+        geometric: np.ndarray,
+        offset: np.ndarray,
+    ) -> None:
+        """Where light grazes a smooth triangle, start on the smooth surface that it stands for.
+
+        As in Cycles (after J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021): a
+        parabolic estimate of the surface's height over the triangle, faded in below a cosine.
+        Adds to ``offset`` (3, K).
+        """
+        smooth = points.smooth[index]
+        cutoff = self.triangles.terminator_offset
+        cutoff = cutoff if cutoff.ndim == 0 else cutoff[triangle]
+        # The distance only sets the scale of the cosine to the geometric normal.
+        inverse = _inverse_length(to_light)
+        cos_geometric = _dot(geometric, to_light) * inverse
+        near = (smooth >= 0) & (np.minimum(cos_geometric, cos_shading) < 2 * cutoff)
+        lanes = np.flatnonzero(near)
+        if lanes.size == 0:
+            return
+        cutoff = cutoff if cutoff.ndim == 0 else cutoff[lanes]
+        cos_g, cos_s = cos_geometric[lanes], cos_shading[lanes]
+        fade = np.where(
+            cos_s < cutoff,
+            2 - (cos_g + cos_s) / np.maximum(cutoff, 1e-20),
+            1 - cos_g / np.maximum(cutoff, 1e-20),
+        )
+        fade = np.where(cutoff > 0, np.clip(fade, 0, 1), 0)
+        lanes = lanes[fade > 0]
+        if lanes.size == 0:
+            return
+        fade = fade[fade > 0]
+        at = index[lanes]
+        flipped = points.flipped[at]
+        height, normal = self._smooth_height(triangle[lanes], smooth[lanes], points.u[at], points.v[at], flipped)
+        offset[:, lanes] += normal * (height * fade)
+
+    def _smooth_height(
+        self, triangle: np.ndarray, smooth: np.ndarray, b1: np.ndarray, b2: np.ndarray, flipped: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Height (K,) of the smooth surface over its triangle, along its unit-less normal (3, K)."""
+        rows = self.triangles.normals[smooth].T
+        n0 = rows[0:3]
+        n1, n2 = n0 + rows[3:6], n0 + rows[6:9]
+        v0, v1, v2 = (self.triangles.vertices[self.triangles.indices[triangle, k]].T for k in range(3))
+        b0 = 1 - b1 - b2
+        normal = n0 * b0 + n1 * b1 + n2 * b2
+        p = v0 * b0 + v1 * b1 + v2 * b2
+        a = _dot(n2 - n0, v0 - v2)
+        b = _dot(n2 - n1, v1 - v2)
+        c = _dot(n1 - n0, v1 - v0)
+        parabola = 0.5 * (a * b0 * (b0 - 1) + (a + b + c) * b0 * b1 + b * b1 * (b1 - 1))
+        # The surface lies within the tangent planes at the corners: on the outside for a viewer in
+        # front (sign +1), on the inside for one behind.
+        sign = np.where(flipped, np.float32(-1), np.float32(1))
+
+        def envelope(near: np.ndarray, n: np.ndarray, others: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+            reach = np.maximum(sign * _dot(others[0] - near, n), sign * _dot(others[1] - near, n))
+            return np.maximum(sign * _dot(near - p, n) + np.maximum(reach, 0), 0)
+
+        bound = np.minimum(
+            np.minimum(envelope(v0, n0, (v1, v2)), envelope(v1, n1, (v0, v2))), envelope(v2, n2, (v0, v1))
+        )
+        height = sign * np.maximum(bound, sign * parabola)
+        return height, normal
+
+    @cached_property
+    def any_holdout(self) -> bool:
+        return bool(np.any(self.triangles.holdout))
+
+
+def _tracer_of(triangles: Triangles, which: np.ndarray | bool) -> tuple[RayTracer, np.ndarray | None]:
+    """A tracer of the triangles for which ``which`` holds, and their rows (None: all, in order)."""
+    if np.all(which):
+        return RayTracer(triangles.vertices, triangles.indices), None
+    rows = np.flatnonzero(np.broadcast_to(which, len(triangles))).astype(np.int32)
+    used, compact = np.unique(triangles.indices[rows], return_inverse=True)
+    return RayTracer(triangles.vertices[used], compact.reshape(-1, 3).astype(np.int32)), rows
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Inner products of (3, N) arrays."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _dot_rows(a: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Inner products of (3, N) with (N, 3) or (1, 3)."""
+    return a[0] * rows[:, 0] + a[1] * rows[:, 1] + a[2] * rows[:, 2]
+
+
+def _inverse_length(a: np.ndarray) -> np.ndarray:
+    """1 / |a| of (3, N) float32 vectors, 0 for a null vector; safe from underflow of the square."""
+    square = _dot(a, a)
+    with np.errstate(divide="ignore", over="ignore"):
+        inverse = 1 / np.sqrt(square)
+    tiny = ~((square > 1e-30) & (square < 1e30))
+    if tiny.any():
+        where = np.flatnonzero(tiny)
+        largest = np.abs(a[:, where]).max(axis=0)
+        safe = np.where(largest > 0, largest, 1)
+        scaled = a[:, where] / safe
+        length = np.sqrt(_dot(scaled, scaled))
+        inverse[where] = np.where(largest > 0, 1 / np.maximum(length * safe, 1e-37), 0)
+    return inverse

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All triangles of a scene in a few arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene import Mesh
+from .frame import Frame
+
+# A shadow ray starts this many units in the last place of its triangle's largest coordinate above
+# it: the rounding of the hit point, of Embree's own arithmetic and of the ray's direction together.
+OFFSET_ULPS = 16.0
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Concatenated meshes, in the frame's units.
+
+    vertices : (V, 3) float32.
+    indices : (T, 3) int32.
+    material : (T,) int32.
+    offset : (T,) float32, how far a ray must start off the triangle to be safe from hitting it.
+    smooth : (T,) int32, row of the triangle in ``normals``, -1 if flat; None if all are flat.
+    normals : (S, 9) float32, the normal of corner 0 and the differences of corners 1 and 2 to it.
+    terminator_offset : float32, scalar or (T,), Cycles' shadow terminator geometry offset.
+    visible_to_camera, casts_shadow, holdout : (T,) bool, or a bool if all agree.
+    """
+
+    vertices: np.ndarray
+    indices: np.ndarray
+    material: np.ndarray
+    offset: np.ndarray
+    smooth: np.ndarray | None
+    normals: np.ndarray
+    terminator_offset: np.ndarray
+    visible_to_camera: np.ndarray | bool
+    casts_shadow: np.ndarray | bool
+    holdout: np.ndarray | bool
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, list[str]]:
+    """The triangles of all ``meshes``, and a message for each mesh of which some had to be left out."""
+    messages: list[str] = []
+    parts = []
+    for mesh in meshes:
+        vertices = frame.positions(mesh.vertices)
+        keep = _usable(mesh, vertices, messages)
+        parts.append((mesh, vertices, keep))
+    counts = [len(m.triangles) if keep is None else int(keep.sum()) for m, _, keep in parts]
+    starts = np.cumsum([0] + [len(v) for _, v, _ in parts])
+
+    def per_triangle(field: str, dtype: type) -> np.ndarray | bool | float:
+        values = {getattr(mesh, field) for mesh, _, _ in parts}
+        if len(values) == 1:
+            return values.pop()
+        return np.repeat(np.array([getattr(m, field) for m, _, _ in parts], dtype), counts)
+
+    def select(array: np.ndarray, keep: np.ndarray | None) -> np.ndarray:
+        return array if keep is None else array[keep]
+
+    vertices = np.concatenate([v for _, v, _ in parts]) if parts else np.zeros((0, 3), np.float32)
+    indices = np.zeros((sum(counts), 3), np.int32)
+    material = np.zeros(sum(counts), np.int32)
+    row = 0
+    for (mesh, _, keep), start, count in zip(parts, starts, counts, strict=False):
+        np.add(select(mesh.triangles, keep), start, out=indices[row : row + count], casting="unsafe")
+        material[row : row + count] = select(np.broadcast_to(mesh.materials, len(mesh.triangles)), keep)
+        row += count
+    normals, smooth = _smooth_normals(parts, counts, select)
+    size = np.abs(vertices).max(axis=1) if len(vertices) else np.zeros(0, np.float32)
+    offset = np.maximum(size[indices[:, 0]], size[indices[:, 1]])
+    np.maximum(offset, size[indices[:, 2]], out=offset)
+    offset *= np.float32(OFFSET_ULPS * 2.0**-24)
+    triangles = Triangles(
+        vertices,
+        indices,
+        material,
+        offset,
+        smooth,
+        normals,
+        np.asarray(per_triangle("terminator_offset", np.float32), np.float32),
+        per_triangle("visible_to_camera", bool),
+        per_triangle("casts_shadow", bool),
+        per_triangle("holdout", bool),
+    )
+    return triangles, messages
+
+
+def _usable(mesh: Mesh, vertices: np.ndarray, messages: list[str]) -> np.ndarray | None:
+    """Which triangles of ``mesh`` can be traced: (T,) bool, or None for all of them."""
+    # One sum finds any NaN or Inf without an array of flags.
+    if len(vertices) == 0 or (np.isfinite(vertices.sum()) and np.abs(vertices).max() < 1e17):
+        return None
+    good = (np.abs(vertices) < 1e17).all(axis=1)
+    vertices[~good] = 0
+    keep = good[mesh.triangles].all(axis=1)
+    lost = len(keep) - int(keep.sum())
+    if lost:
+        messages.append(
+            f'"{mesh.name}": {lost} of {len(keep)} triangles have a vertex that is not finite or too far '
+            "away, and are left out; check its modifiers and its scale."
+        )
+    return keep
+
+
+def _smooth_normals(parts, counts, select) -> tuple[np.ndarray, np.ndarray | None]:
+    flat = [mesh.normals is None for mesh, _, _ in parts]
+    rows = [
+        select(mesh.normals, keep).reshape(-1, 9)
+        for (mesh, _, keep), is_flat in zip(parts, flat, strict=True)
+        if not is_flat
+    ]
+    if not rows:
+        return np.zeros((0, 9), np.float32), None
+    normals = np.concatenate(rows)
+    if not np.isfinite(normals.sum()):
+        normals[~np.isfinite(normals)] = 0
+    normals[:, 3:6] -= normals[:, 0:3]
+    normals[:, 6:9] -= normals[:, 0:3]
+    smooth = np.empty(sum(counts), np.int32)
+    row = triangle = 0
+    for count, is_flat in zip(counts, flat, strict=True):
+        if is_flat:
+            smooth[triangle : triangle + count] = -1
+        else:
+            smooth[triangle : triangle + count] = np.arange(row, row + count, dtype=np.int32)
+            row += count
+        triangle += count
+    return normals, smooth

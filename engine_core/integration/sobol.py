@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Sobol sequence and its exact nested uniform (Owen) scrambling.
+
+Direction numbers: S. Joe and F. Y. Kuo, "Constructing Sobol sequences with better two-dimensional
+projections", SIAM J. Sci. Comput. 30, 2008. Scrambling: A. B. Owen, "Randomly permuted (t,m,s)-nets
+and (t,s)-sequences", 1995. Integers of 32 bits stand for binary fractions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+BITS = 32
+
+# (degree, coefficients, initial values) of dimensions 1 to 9; dimension 0 is van der Corput's.
+_JOE_KUO = (
+    (1, 0, (1,)),
+    (2, 1, (1, 3)),
+    (3, 1, (1, 3, 1)),
+    (3, 2, (1, 1, 1)),
+    (4, 1, (1, 1, 3, 3)),
+    (4, 4, (1, 3, 5, 13)),
+    (5, 2, (1, 1, 5, 5, 17)),
+    (5, 4, (1, 1, 5, 5, 5)),
+    (5, 7, (1, 1, 7, 11, 19)),
+)
+MAX_DIMENSIONS = len(_JOE_KUO) + 1
+
+
+def direction_numbers(dimension: int) -> np.ndarray:
+    """The (32,) uint32 direction numbers of one dimension."""
+    if dimension == 0:
+        return np.uint32(1) << np.arange(BITS - 1, -1, -1, dtype=np.uint32)
+    degree, coefficients, initial = _JOE_KUO[dimension - 1]
+    m = list(initial)
+    for i in range(degree, BITS):
+        value = m[i - degree] ^ (m[i - degree] << degree)
+        for k in range(1, degree):
+            value ^= ((coefficients >> (degree - 1 - k)) & 1) * (m[i - k] << k)
+        m.append(value)
+    return np.array([value << (BITS - 1 - i) for i, value in enumerate(m)], np.uint64).astype(np.uint32)
+
+
+def sobol(index: np.ndarray, dimension: int) -> np.ndarray:
+    """Coordinate ``dimension`` of the Sobol points ``index`` (uint32, any shape), as 32-bit fractions."""
+    x = np.zeros_like(index)
+    for bit, number in enumerate(direction_numbers(dimension)):
+        x ^= ((index >> np.uint32(bit)) & np.uint32(1)) * number
+    return x
+
+
+def mix(x: np.ndarray) -> np.ndarray:
+    """A 32-bit integer hash: each bit of ``x`` (uint32) changes each bit of the result half of the time."""
+    x = x ^ (x >> np.uint32(16))
+    x *= np.uint32(0x7FEB352D)
+    x ^= x >> np.uint32(15)
+    x *= np.uint32(0x846CA68B)
+    x ^= x >> np.uint32(16)
+    return x
+
+
+def hash_combine(*values: int | np.ndarray) -> np.ndarray:
+    """One uint32 hash of several integers or arrays of them (broadcast)."""
+    state = np.uint32(0x9E3779B9) * np.ones(1, np.uint32)
+    for value in values:
+        state = mix(mix(state) ^ np.asarray(value).astype(np.uint32))
+        state = mix(state + np.uint32(0x632BE5AB))
+    return state
+
+
+def owen_scramble(x: np.ndarray, seed: int) -> np.ndarray:
+    """Nested uniform scrambling of 32-bit fractions: every bit is flipped by a coin of its higher bits.
+
+    A (t, m, s)-net stays one, each point becomes uniform. Applied to an index it permutes a sequence
+    so that aligned blocks of 2^k points stay blocks of 2^k points.
+    """
+    flips = np.zeros_like(x)
+    coins = hash_combine(seed, np.arange(BITS))
+    for bit in range(BITS):
+        prefix = x >> np.uint32(BITS - bit) if bit else np.zeros_like(x)
+        coin = mix(mix(prefix ^ coins[bit]) + coins[bit]) >> np.uint32(31)
+        flips |= coin << np.uint32(BITS - 1 - bit)
+    return x ^ flips
+
+
+def unit_float(x: np.ndarray) -> np.ndarray:
+    """32-bit fractions as float32 in the open interval (0, 1): cell centres, never 0 nor 1."""
+    return (x >> np.uint32(9)).astype(np.float32) * np.float32(2.0**-23) + np.float32(2.0**-24)

@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles, threads, passes, progress and cancelling: from a scene to a film."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from threading import Event
+
+import numpy as np
+
+from .errors import RenderError
+from .image.film import FAR, Film
+from .integration.point_sets import POINT_SETS, PointSet
+from .integration.sample_mean import sum_samples
+from .scene import Camera, Scene
+from .settings import Settings
+from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
+from .transport.light_choice import BLOCK, LightChoice
+
+POLL_SECONDS = 0.05
+
+# Light choices of all tiles are kept between passes while they are no more numbers than this.
+_KEPT_CHOICES = 1 << 25
+
+
+class Sink:
+    """Where a render reports to; all calls come from the thread that called `render`."""
+
+    def cancelled(self) -> bool:
+        """Polled every `POLL_SECONDS`; True stops the render and keeps what is there."""
+        return False
+
+    def tile(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
+        """Pixels [y0:y1, x0:x1] of the film hold a new estimate."""
+
+    def progress(self, fraction: float, elapsed: float, remaining: float | None, text: str) -> None:
+        """How far the render is: fraction in [0, 1], seconds, and a phrase for people."""
+
+
+@dataclass(eq=False)
+class _Tile:
+    """A part of the picture that one worker renders at a time, in pixels of the whole frame."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+    choice: LightChoice | None = None
+
+    def pixels(self) -> Pixels:
+        """All pixels, block after block."""
+        x, y = np.meshgrid(
+            np.arange(self.x0, self.x1, dtype=np.int32), np.arange(self.y0, self.y1, dtype=np.int32)
+        )
+        x, y = x.ravel(), y.ravel()
+        block = self._block(x, y)
+        order = np.argsort(block, kind="stable")
+        return Pixels(x[order], y[order], block[order])
+
+    def _block(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        columns = (self.x1 - 1) // BLOCK - self.x0 // BLOCK + 1
+        return (y // BLOCK - self.y0 // BLOCK) * columns + (x // BLOCK - self.x0 // BLOCK)
+
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows of its blocks in the whole frame, in the order of `Pixels.block`."""
+        x, y = np.meshgrid(
+            np.arange(self.x0 // BLOCK, (self.x1 - 1) // BLOCK + 1),
+            np.arange(self.y0 // BLOCK, (self.y1 - 1) // BLOCK + 1),
+        )
+        return x.ravel(), y.ravel()
+
+
+class _Cancelled(Exception):
+    """Unwinds a worker between two batches."""
+
+
+def render(
+    scene: Scene,
+    settings: Settings | None = None,
+    sink: Sink | None = None,
+    executor: Executor | None = None,
+) -> Film:
+    """Render a scene. Returns the film, also when cancelled (`Film.stopped_by` says why it ended).
+
+    executor : runs the tiles; threads of this process if None.
+    """
+    try:
+        return _Render(scene, settings or Settings(), sink or Sink()).run(executor)
+    except MemoryError as error:
+        raise RenderError(
+            "not enough memory for this scene; use fewer or simpler instances, or a smaller picture"
+        ) from error
+
+
+class _Render:
+    def __init__(self, scene: Scene, settings: Settings, sink: Sink) -> None:
+        self._begin = time.perf_counter()
+        self._settings = settings
+        self._sink = sink
+        self._camera: Camera = scene.camera
+        sink.progress(0.0, 0.0, None, "Building the scene")
+        self._integrand = DirectLight(scene, settings.transparent, settings.normals)
+        self._film = Film.empty(*scene.camera.region_size)
+        self._film.messages += self._integrand.messages
+        point_set = POINT_SETS[settings.integrator]
+        self._points: tuple[PointSet, PointSet] = (
+            point_set(self._integrand.screen_dimensions, settings.seed, 0),
+            point_set(self._integrand.rest_dimensions, settings.seed, 1),
+        )
+        self._split = settings.light_samples or (1 if self._integrand.lights <= 1 else 2)
+        self._threads = settings.threads or os.cpu_count() or 1
+        self._tiles = _tiles(scene.camera, settings.tile_size or _tile_size(scene.camera, self._threads))
+        x0, y0, x1, y1 = scene.camera.region
+        self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
+        blocks = sum(len(tile.blocks()[0]) for tile in self._tiles)
+        self._keep_choices = blocks * self._integrand.lights <= _KEPT_CHOICES
+        self._stop = Event()
+        self._done = 0
+        self._counts = {"camera rays": 0, "shadow rays": 0, "non-finite samples": 0}
+        self._built = time.perf_counter()
+
+    def run(self, executor: Executor | None) -> Film:
+        own = executor is None
+        pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
+        try:
+            self._film.stopped_by = self._passes(pool)
+        finally:
+            self._stop.set()
+            if own:
+                pool.shutdown(wait=True, cancel_futures=True)
+        self._report()
+        return self._film
+
+    def _passes(self, pool: Executor) -> str:
+        """Passes over all tiles that double the samples each time; returns why they ended."""
+        settings = self._settings
+        done = 0
+        while done < settings.samples:
+            tiles = [tile for tile in self._tiles if self._active_blocks(tile).any()]
+            if not tiles:
+                return "noise"
+            count = min(max(done, 1), settings.samples - done)
+            pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
+            self._pass_work, self._done = pixels * count, 0
+            ended = self._pass(pool, tiles, done, count)
+            if ended:
+                return ended
+            done += count
+        return "samples"
+
+    def _pass(self, pool: Executor, tiles: list[_Tile], start: int, count: int) -> str | None:
+        self._points[0].prepare(start + count)
+        self._points[1].prepare((start + count) * self._split)
+        pending = {pool.submit(self._render_tile, tile, start, count): tile for tile in tiles}
+        ended = None
+        try:
+            while pending:
+                finished, _ = wait(pending, POLL_SECONDS, FIRST_COMPLETED)
+                for future in finished:
+                    self._finish(future, pending.pop(future))
+                elapsed = time.perf_counter() - self._begin
+                self._tell(start, count, elapsed)
+                if ended is None:
+                    limit = self._settings.time_limit
+                    # A first sample everywhere comes before any limit, or there would be holes.
+                    if self._sink.cancelled():
+                        ended = "cancel"
+                    elif limit and elapsed >= limit and start > 0:
+                        ended = "time"
+                    if ended:
+                        self._stop.set()
+                        for future in [f for f in pending if f.cancel()]:
+                            del pending[future]
+        except BaseException:
+            self._stop.set()
+            for future in pending:
+                future.cancel()
+            wait(pending)
+            raise
+        return ended
+
+    def _finish(self, future: Future, tile: _Tile) -> None:
+        try:
+            future.result()
+        except _Cancelled:
+            return
+        x0, y0 = self._camera.region[:2]
+        self._sink.tile(self._film, tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
+
+    def _tell(self, start: int, count: int, elapsed: float) -> None:
+        total = self._settings.samples
+        part = min(self._done / max(self._pass_work, 1), 1.0)
+        fraction = min((start + count * part) / total, 1.0)
+        rendering = time.perf_counter() - self._built
+        remaining = rendering * (1 - fraction) / fraction if fraction > 0.01 else None
+        limit = self._settings.time_limit
+        if limit and remaining is not None:
+            remaining = min(remaining, max(limit - elapsed, 0.0))
+        self._sink.progress(fraction, elapsed, remaining, f"Sample {start + int(count * part)}/{total}")
+
+    # -- in the workers ----------------------------------------------------------------------------
+
+    def _active_blocks(self, tile: _Tile) -> np.ndarray:
+        x, y = tile.blocks()
+        return self._active[y, x]
+
+    def _render_tile(self, tile: _Tile, start: int, count: int) -> None:
+        """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
+        if self._stop.is_set():
+            raise _Cancelled
+        pixels = tile.pixels()
+        active = self._active_blocks(tile)
+        if not active.all():
+            pixels = pixels[active[pixels.block]]
+        if self._integrand.lights > 1:
+            choice = tile.choice or self._integrand.choice_of_blocks(*tile.blocks())
+            if self._keep_choices:
+                tile.choice = choice
+        else:
+            choice = None
+        integrand = DirectLightOverTile(self._integrand, choice)
+        column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
+        film = self._film
+
+        def after_first(part: slice, first: int, hits) -> None:
+            if self._stop.is_set():
+                raise _Cancelled
+            depth = hits.depth.reshape(part.stop - part.start, -1)
+            if first == 0:
+                film.depth[row[part], column[part]] = np.minimum(depth[:, 0], FAR)
+            self._done += depth.size
+
+        sums = sum_samples(
+            integrand,
+            pixels,
+            pixels.key(),
+            self._points,
+            start,
+            count,
+            self._split,
+            self._settings.batch_size,
+            after_first,
+        )
+        mean = (sums.values / count).astype(np.float32)
+        before = film.combined[row, column].T
+        if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
+            self._retire_blocks(tile, pixels, before[:3], mean[:3])
+        share = np.float32(count / (start + count))
+        film.combined[row, column] = (before + (mean[:4] - before) * share).T
+        if self._settings.normals:
+            old = film.normal[row, column].T
+            film.normal[row, column] = (old + (mean[4:7] - old) * share).T
+        film.sample_count[row, column] = start + count
+        self._counts["camera rays"] += integrand.camera_rays
+        self._counts["shadow rays"] += integrand.shadow_rays
+        self._counts["non-finite samples"] += integrand.non_finite
+
+    def _retire_blocks(self, tile: _Tile, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
+        """Stop blocks whose error is small enough, judged by two halves (3, B) of their samples.
+
+        The difference of two independent halves has twice the standard deviation of their mean; for
+        Sobol points it overestimates the error. The halves enter the picture too: docs/sampling.md
+        states the bias of that.
+        """
+        starts = np.flatnonzero(np.diff(pixels.block, prepend=-1))
+        counts = np.diff(np.append(starts, len(pixels)))
+        error = 0.5 * np.abs(first - second).mean(axis=0, dtype=np.float64)
+        brightness = np.abs(0.5 * (first + second)).mean(axis=0, dtype=np.float64)
+        error = np.sqrt(np.add.reduceat(error * error, starts) / counts)
+        brightness = np.add.reduceat(brightness, starts) / counts
+        quiet = error <= self._settings.noise_threshold * np.sqrt(brightness)
+        x, y = tile.blocks()
+        rows = pixels.block[starts[quiet]]
+        self._active[y[rows], x[rows]] = False
+
+    def _report(self) -> None:
+        end = time.perf_counter()
+        film = self._film
+        if self._counts["non-finite samples"]:
+            film.messages.append(
+                f"{self._counts['non-finite samples']} light samples were not finite and count as black; "
+                "check the scene for lights and objects of extreme size or power."
+            )
+        film.statistics = {
+            **self._counts,
+            "lights": self._integrand.lights,
+            "threads": self._threads,
+            "seconds building": self._built - self._begin,
+            "seconds rendering": end - self._built,
+        }
+
+
+def _tile_size(camera: Camera, threads: int) -> int:
+    """A multiple of `BLOCK` that gives every thread some tiles, and every tile enough pixels for a batch."""
+    width, height = camera.region_size
+    edge = int(np.sqrt(width * height / (8 * threads)))
+    return int(np.clip(edge // BLOCK * BLOCK, 32, 128))
+
+
+def _tiles(camera: Camera, size: int) -> list[_Tile]:
+    """The region cut along a grid aligned to the whole frame, from its middle outwards."""
+    x0, y0, x1, y1 = camera.region
+    tiles = [
+        _Tile(max(x, x0), max(y, y0), min(x + size, x1), min(y + size, y1))
+        for y in range(y0 // size * size, y1, size)
+        for x in range(x0 // size * size, x1, size)
+    ]
+    middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+    tiles.sort(
+        key=lambda t: max(abs((t.x0 + t.x1) / 2 - middle_x), abs((t.y0 + t.y1) / 2 - middle_y))
+    )
+    return tiles

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is rendered: frozen dataclasses of arrays, validated when made."""
+
+from .camera import Camera
+from .lights import AreaLight, Light, PointLight, SpotLight, SunLight, World
+from .material import Material
+from .mesh import Mesh
+from .scene import Scene
+
+__all__ = [
+    "AreaLight",
+    "Camera",
+    "Light",
+    "Material",
+    "Mesh",
+    "PointLight",
+    "Scene",
+    "SpotLight",
+    "SunLight",
+    "World",
+]

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles in world space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .validation import fail, set_array, set_number
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles that share everything but their material; one object, or all instances of one.
+
+    vertices : (V, 3) float32, world positions less `Scene.origin`. Vertices may be non-finite:
+        the triangles that use them are left out and reported.
+    triangles : (T, 3) int32, indices into ``vertices``.
+    normals : None for flat shading, else (T, 3, 3) float32: a unit world-space normal for each corner.
+    materials : one index into `Scene.materials`, or (T,) of them.
+    visible_to_camera, casts_shadow : ray visibility.
+    holdout : cuts a hole of alpha 0 into the picture, and still casts shadows.
+    terminator_offset : Cycles' "shadow terminator geometry offset" for smooth triangles, in [0, 1].
+    """
+
+    vertices: Any
+    triangles: Any
+    normals: Any = None
+    materials: Any = 0
+    visible_to_camera: bool = True
+    casts_shadow: bool = True
+    holdout: bool = False
+    terminator_offset: float = 0.1
+    name: str = "Mesh"
+
+    def __post_init__(self) -> None:
+        vertices = set_array(self, "vertices", (None, 3), np.float32, finite=False)
+        triangles = set_array(self, "triangles", (None, 3), np.int32)
+        if triangles.size and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
+            raise fail(
+                self,
+                "triangles",
+                f"has indices {triangles.min()} to {triangles.max()}, there are {len(vertices)} vertices",
+            )
+        if self.normals is not None:
+            set_array(self, "normals", (len(triangles), 3, 3), np.float32, finite=False)
+        if np.ndim(self.materials) == 0:
+            object.__setattr__(self, "materials", int(self.materials))
+        else:
+            set_array(self, "materials", (len(triangles),), np.int32)
+        set_number(self, "terminator_offset", 0.0, 1.0)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a scene is rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .errors import SceneError
+from .scene.validation import set_number
+
+INTEGRATORS = ("sobol", "monte_carlo")
+MAX_SAMPLES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Choices of the render; every default is what a user would want.
+
+    samples : camera rays a pixel, at most; powers of two serve the Sobol sequence best.
+    light_samples : shadow rays for each camera ray, 0 to choose by the lights.
+    integrator : "sobol" (Owen-scrambled Sobol points) or "monte_carlo" (pseudo-random points).
+    seed : another seed is another, independent estimate of the same picture.
+    noise_threshold : stop a block of pixels when its estimated standard error, relative to the
+        square root of its brightness (as in Cycles), falls below this; 0 never stops early.
+    min_samples : samples every pixel gets before the noise threshold may stop it.
+    time_limit : seconds after which no further pass begins; 0 is none.
+    threads : worker threads, 0 for one a processor.
+    transparent : the background has alpha 0 and no radiance.
+    normals : fill `Film.normal` too.
+    tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
+        picture's size.
+    batch_size : samples traced together; a batch should fit the processor's cache.
+    """
+
+    samples: int = 64
+    light_samples: int = 0
+    integrator: str = "sobol"
+    seed: int = 0
+    noise_threshold: float = 0.0
+    min_samples: int = 16
+    time_limit: float = 0.0
+    threads: int = 0
+    transparent: bool = False
+    normals: bool = False
+    tile_size: int = 0
+    batch_size: int = 16384
+
+    def __post_init__(self) -> None:
+        if self.integrator not in INTEGRATORS:
+            raise SceneError(f"Settings: integrator is {self.integrator!r}, wanted one of {INTEGRATORS}")
+        for field, low, high in (
+            ("samples", 1, MAX_SAMPLES),
+            ("light_samples", 0, 1024),
+            ("seed", -(2**31), 2**32 - 1),
+            ("min_samples", 1, MAX_SAMPLES),
+            ("threads", 0, 1024),
+            ("tile_size", 0, 4096),
+            ("batch_size", 64, 1 << 22),
+        ):
+            object.__setattr__(self, field, int(set_number(self, field, low, high)))
+        if self.tile_size % 16:
+            raise SceneError(f"Settings: tile_size is {self.tile_size}, wanted a multiple of 16")
+        set_number(self, "noise_threshold", 0.0)
+        set_number(self, "time_limit", 0.0)

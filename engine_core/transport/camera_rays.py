@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays through the pixels of a camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.frame import Frame
+from ..geometry.raytracer import FAR
+from ..scene import Camera
+
+
+class CameraRays:
+    """Maps (pixel, point in the unit square) to a ray, in the frame's units.
+
+    The direction's component along the view axis is 1, so that a distance along the ray *is* the
+    depth. The box filter of one pixel is the whole reconstruction, as with Cycles' "Box".
+    """
+
+    def __init__(self, camera: Camera, frame: Frame) -> None:
+        right, up, back = camera.camera_to_world[:3, :3].T
+        left, right_edge, bottom, top = camera.viewplane
+        self._perspective = camera.projection == "perspective"
+        unit = 1.0 if self._perspective else frame.scale
+        self._corner = right * (left * unit) + up * (bottom * unit)
+        self._step_x = right * ((right_edge - left) * unit / camera.width)
+        self._step_y = up * ((top - bottom) * unit / camera.height)
+        self._forward = -back
+        self.clip_start = float(camera.clip_start * frame.scale)
+        length = (camera.clip_end - camera.clip_start) * frame.scale
+        self.reach = float(min(length, FAR))
+
+    def rays(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and directions, (B * S, 3) float32 (one direction (1, 3) if orthographic).
+
+        x, y : (B,) pixels of the whole frame. u : (2, B, S) points of each pixel's unit square.
+        """
+        # Where the pixel begins needs float64: at 4K its float32 is worth only 2^-12 of a pixel.
+        start = (
+            self._corner[:, None] + self._step_x[:, None] * x + self._step_y[:, None] * y
+        )
+        if self._perspective:
+            start = start + self._forward[:, None]
+        start = start.astype(np.float32)
+        step_x, step_y = self._step_x.astype(np.float32), self._step_y.astype(np.float32)
+        points = np.empty((u[0].size, 3), np.float32)
+        for i in range(3):
+            value = u[0] * step_x[i]
+            value += u[1] * step_y[i]
+            value += start[i][:, None]
+            points[:, i] = value.reshape(-1)
+        if self._perspective:
+            return points * np.float32(self.clip_start), points
+        points += (self._forward * self.clip_start).astype(np.float32)
+        return points, self._forward.astype(np.float32)[None]

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Direct illumination as a staged function of primary space.
+
+    first : (screen 2)            -> camera hits, and what is seen without another dimension
+    rest  : (light choice 1, light 2) -> radiance reflected at those hits
+
+    L_o = integral over the lights of f L_e V cos cos' / d^2 dA      (thesis eq. 5.1)
+
+Every light's map is in `emitters`; the choice among lights is one more dimension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.frame import frame_of
+from ..geometry.raytracer import FAR
+from ..geometry.surfaces import SurfacePoints, Surfaces
+from ..geometry.triangles import gather_triangles
+from ..integration.sobol import hash_combine, unit_float
+from ..scene import Scene
+from .camera_rays import CameraRays
+from .emitters import Emitters, emitter_groups
+from .light_choice import BLOCK, PILOT_GRID, LightChoice, light_choice, mean_irradiance
+from .warps import dot
+
+RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
+"""Channels of the integrand."""
+
+_OVERVIEW_GRID = 8
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """B pixels of one tile, the integrand's bins.
+
+    x, y : (B,) int, places in the whole frame.
+    block : (B,) int, ascending rows of the tile's `LightChoice`.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    block: np.ndarray
+
+    def key(self) -> np.ndarray:
+        """(B,) uint32, the same for a pixel in any tile and any border render."""
+        return hash_combine(self.x, self.y)
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, part: slice | np.ndarray) -> Pixels:
+        return Pixels(self.x[part], self.y[part], self.block[part])
+
+
+@dataclass(eq=False)
+class CameraHits:
+    """The first stage's result for B x S camera rays.
+
+    values : (C, B * S) what needs no further dimension: emission, background, alpha, normal.
+    points : the M rays that hit a surface which light can fall on; ``points.lane`` says which.
+    depth : (B * S,) along the view axis, scene units; inf where nothing was hit.
+    block : (M,) rows of the tile's light choice.
+    """
+
+    values: np.ndarray
+    points: SurfacePoints
+    depth: np.ndarray
+    block: np.ndarray | None
+
+    @property
+    def lane(self) -> np.ndarray | None:
+        """(M,) ascending, the rays that hit; None if all did."""
+        return self.points.lane
+
+
+class DirectLight:
+    """The integrand of a scene: rays, surfaces, emitters. Shared by all threads.
+
+    messages : what of the scene is left out, one sentence each.
+    """
+
+    screen_dimensions = 2
+    rest_dimensions = 3
+
+    def __init__(self, scene: Scene, transparent: bool = False, normals: bool = False) -> None:
+        """transparent : the background has no radiance and alpha 0. normals : integrate them too."""
+        frame = frame_of(scene)
+        triangles, self.messages = gather_triangles(scene.meshes, frame)
+        self._unscale = 1 / frame.scale
+        self._rays = CameraRays(scene.camera, frame)
+        self._surfaces = Surfaces(triangles)
+        self.emitters, messages = emitter_groups(scene.lights, scene.world, scene.materials, triangles, frame)
+        self.messages += messages
+        self.channels = 7 if normals else 4
+        self._normals = normals
+        self._transparent = transparent
+        self._background = np.zeros(3, np.float32)
+        if scene.world.visible_to_camera and not transparent:
+            self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)
+        self._reflectance = np.array([m.reflectance for m in scene.materials], np.float32).T.copy() / np.float32(
+            np.pi
+        )
+        self._emission = np.maximum([m.emission for m in scene.materials], 0).astype(np.float32).T.copy()
+        self._emits = bool(self._emission[:, np.unique(triangles.material)].any()) if len(triangles) else False
+        self._one_material = len(scene.materials) == 1
+        self._first_light = np.cumsum([0] + [len(group) for group in self.emitters])
+        self.lights = int(self._first_light[-1])
+        self._all_cast = all(group.casts_shadow.all() for group in self.emitters)
+        self._overview = self._frame_irradiance(scene) if self.lights > 1 else None
+
+    # -- choosing among lights ---------------------------------------------------------------------
+
+    def choice_of_blocks(self, block_x: np.ndarray, block_y: np.ndarray) -> LightChoice | None:
+        """The light choice of K blocks (K,), numbered from the whole frame's corner; None for at most one light."""
+        if self.lights < 2:
+            return None
+        irradiance = self._pilot_irradiance(block_x, block_y, BLOCK, BLOCK, PILOT_GRID)
+        return light_choice(irradiance, self._overview)
+
+    def _frame_irradiance(self, scene: Scene) -> np.ndarray:
+        camera = scene.camera
+        x, y = (a.ravel() for a in np.meshgrid(np.arange(_OVERVIEW_GRID), np.arange(_OVERVIEW_GRID)))
+        width, height = camera.width / _OVERVIEW_GRID, camera.height / _OVERVIEW_GRID
+        return self._pilot_irradiance(x, y, width, height, PILOT_GRID).mean(axis=0)
+
+    def _pilot_irradiance(
+        self, cell_x: np.ndarray, cell_y: np.ndarray, width: float, height: float, grid: int
+    ) -> np.ndarray:
+        """(K, L) mean unshadowed irradiance at jittered pilot hits in cells of width x height pixels."""
+        row, column = np.divmod(np.arange(grid * grid), grid)
+        seed = [hash_combine(cell_x[:, None], cell_y[:, None], row * grid + column, axis) for axis in (71, 72)]
+        u = np.stack(
+            [
+                (column + unit_float(seed[0])) * np.float32(width / grid),
+                (row + unit_float(seed[1])) * np.float32(height / grid),
+            ]
+        )
+        origins, directions = self._rays.rays(cell_x * width, cell_y * height, u)
+        points, _ = self._surfaces.first_hit(origins, directions, self._rays.reach)
+        shape = (len(cell_x), grid * grid)
+        found = np.zeros(shape, bool)
+        position, normal = np.zeros((2, 3, *shape), np.float32)
+        lanes = slice(None) if points.lane is None else points.lane
+        found.reshape(-1)[lanes] = True
+        position.reshape(3, -1)[:, lanes] = points.position
+        normal.reshape(3, -1)[:, lanes] = points.normal
+        return mean_irradiance(self.emitters, position, normal, found)
+
+    # -- the two stages ----------------------------------------------------------------------------
+
+    def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
+        """Camera rays through (2, B, S) points of the pixels' unit squares."""
+        origins, directions = self._rays.rays(pixels.x, pixels.y, u)
+        n = len(origins)
+        points, distance = self._surfaces.first_hit(origins, directions, self._rays.reach)
+        lane = points.lane
+        values = np.zeros((self.channels, n), np.float32)
+        hit_all = lane is None
+        lanes = slice(None) if hit_all else lane
+        depth = np.full(n, np.inf, np.float32)
+        depth[lanes] = distance
+        if not hit_all:
+            if self._background.any():
+                values[RGB] = self._background[:, None]
+                values[RGB, lane] = 0
+            if not self._transparent:
+                values[ALPHA] = 1
+        values[ALPHA, lanes] = 1
+        material = None if self._one_material else self._surfaces.triangles.material[points.triangle]
+        if self._emits:
+            values[RGB, lanes] = self._emission if material is None else self._emission[:, material]
+        if self._normals:
+            values[NORMAL, lanes] = points.normal
+        held = None
+        if self._surfaces.any_holdout:
+            holdout = np.broadcast_to(self._surfaces.triangles.holdout, len(self._surfaces.triangles))
+            held = holdout[points.triangle]
+            where = np.flatnonzero(held) if hit_all else lane[held]
+            values[:, where] = 0
+        for group in self.emitters:
+            seen = group.seen(origins, directions, depth)
+            if seen is not None:
+                values[RGB] += seen
+        depth = (depth + np.float32(self._rays.clip_start)) * np.float32(self._unscale)
+        if held is not None and held.any():
+            points = _without(points, held)
+        block = None
+        if self.lights > 1:
+            samples = u.shape[2]
+            rows = np.repeat(pixels.block, samples)
+            block = rows if points.lane is None else rows[points.lane]
+        return CameraHits(values, points, depth, block)
+
+    def rest(
+        self, hits: CameraHits, index: np.ndarray | None, u: np.ndarray, choice: LightChoice | None
+    ) -> tuple[np.ndarray, np.ndarray, int, int]:
+        """Reflected radiance at the hits.
+
+        index : (N,) ascending rows of ``hits.points``, None for one sample each.
+        u : (3, N) light choice and two dimensions on the light.
+
+        Returns the samples (K,) that are not 0, their radiance (3, K), how many shadow rays that took,
+        and how many samples were not finite (those count as 0).
+        """
+        points = hits.points
+        n = u.shape[1]
+        if self.lights == 0 or n == 0:
+            return np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0
+        position, normal = points.position, points.normal
+        if index is not None:
+            position, normal = position[:, index], normal[:, index]
+        if self.lights == 1:
+            group = self.emitters[0]
+            to_light, weight = group.sample(None, position, normal, u[0], u[1:])
+            light = None
+            at_infinity, is_mesh = group.at_infinity, group.is_mesh
+        else:
+            block = hits.block if index is None else hits.block[index]
+            light, pdf, w = choice.choose(block, u[0])
+            to_light, weight, at_infinity, is_mesh = self._sample_chosen(light, position, normal, w, u[1:])
+            weight /= pdf
+        square = dot(to_light, to_light)
+        cosine = dot(normal, to_light)
+        cosine /= np.sqrt(np.maximum(square, np.float32(1e-37)))
+        weight = weight * np.maximum(cosine, 0)
+        lit = np.flatnonzero(weight)
+        finite = np.isfinite(weight[lit])
+        bad = lit.size - int(np.count_nonzero(finite))
+        if bad:
+            lit = lit[finite]
+        at = lit if index is None else index[lit]
+        if lit.size < n:
+            to_light, cosine, weight = to_light[:, lit], cosine[lit], weight[lit]
+            at_infinity = at_infinity if np.ndim(at_infinity) == 0 else at_infinity[lit]
+            is_mesh = is_mesh if np.ndim(is_mesh) == 0 else is_mesh[lit]
+            light = None if light is None else light[lit]
+        visible = self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light)
+        shadow_rays = lit.size
+        lit, at, weight = lit[visible], at[visible], weight[visible]
+        if light is None:
+            colour = self.emitters[0].radiance
+        else:
+            colour = self._radiance()[:, light[visible]]
+        if self._one_material:
+            radiance = (self._reflectance * colour) * weight
+        else:
+            material = self._surfaces.triangles.material[points.triangle[at]]
+            radiance = self._reflectance[:, material] * colour * weight
+        return lit, radiance, shadow_rays, bad
+
+    def _radiance(self) -> np.ndarray:
+        """(3, L) of all lights."""
+        return np.concatenate([group.radiance for group in self.emitters], axis=1)
+
+    def _sample_chosen(self, light, position, normal, w, u):
+        """Samples of different kinds of lights, put together lane by lane."""
+        if len(self.emitters) == 1:
+            group = self.emitters[0]
+            to_light, weight = group.sample(light, position, normal, w, u)
+            return to_light, np.array(weight), group.at_infinity, group.is_mesh
+        n = len(light)
+        to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
+        at_infinity, is_mesh = np.zeros((2, n), bool)
+        for group, start in zip(self.emitters, self._first_light[:-1], strict=True):
+            lanes = np.flatnonzero((light >= start) & (light < start + len(group)))
+            if lanes.size == 0:
+                continue
+            which = light[lanes] - start if len(group) > 1 else None
+            to_light[:, lanes], weight[lanes] = group.sample(
+                which, position[:, lanes], normal[:, lanes], w[lanes], u[:, lanes]
+            )
+            at_infinity[lanes] = group.at_infinity
+            is_mesh[lanes] = group.is_mesh
+        return to_light, weight, at_infinity, is_mesh
+
+    def _visible(self, points, at, to_light, cosine, at_infinity, is_mesh, light):
+        if self._all_cast:
+            return self._surfaces.visible(points, at, to_light, cosine, at_infinity, is_mesh)
+        casts = np.concatenate([group.casts_shadow for group in self.emitters])
+        casts = casts[0] if light is None else casts[light]
+        visible = np.ones(len(at), bool)
+        lanes = np.flatnonzero(np.broadcast_to(casts, len(at)))
+        if lanes.size:
+            visible[lanes] = self._surfaces.visible(
+                points,
+                at[lanes],
+                to_light[:, lanes],
+                cosine[lanes],
+                at_infinity if np.ndim(at_infinity) == 0 else at_infinity[lanes],
+                is_mesh if np.ndim(is_mesh) == 0 else is_mesh[lanes],
+            )
+        return visible
+
+
+class DirectLightOverTile:
+    """The integrand with one tile's light choice, and what its evaluation cost.
+
+    camera_rays, shadow_rays, non_finite : counts so far.
+    """
+
+    def __init__(self, integrand: DirectLight, choice: LightChoice | None) -> None:
+        self._integrand = integrand
+        self._choice = choice
+        self.camera_rays = self.shadow_rays = self.non_finite = 0
+
+    def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
+        self.camera_rays += u[0].size
+        return self._integrand.first(pixels, u)
+
+    def rest(self, hits: CameraHits, index: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        sample, radiance, shadow_rays, bad = self._integrand.rest(hits, index, u, self._choice)
+        self.shadow_rays += shadow_rays
+        self.non_finite += bad
+        return sample, radiance
+
+
+def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:
+    """``points`` less those for which ``held`` (M,) is true."""
+    keep = np.flatnonzero(~held)
+    return SurfacePoints(
+        keep if points.lane is None else points.lane[keep],
+        points.triangle[keep],
+        points.position[:, keep],
+        points.geometric[:, keep],
+        points.normal[:, keep],
+        points.u[keep],
+        points.v[keep],
+        None if points.smooth is None else points.smooth[keep],
+        None if points.flipped is None else points.flipped[keep],
+    )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CV Render's engine, importable without Blender.
 
-    from engine_core import Camera, Mesh, PointLight, Scene, render
-    film = render(Scene(Camera.look_at((0, -5, 2), (0, 0, 0), 320, 240), meshes=[...], lights=[...]))
+from engine_core import Camera, Mesh, PointLight, Scene, render
+film = render(Scene(Camera.look_at((0, -5, 2), (0, 0, 0), 320, 240), meshes=[...], lights=[...]))
 """
 
 from .errors import CVRenderError, RenderError, SceneError

@@ -57,13 +57,13 @@ class RayTracer:
         if self._scene is None:
             n = len(origins)
             nothing = np.zeros(n, np.float32)
-            return ClosestHits(np.full(n, -1, np.int32), nothing, nothing, nothing, np.zeros((n, 3), np.float32))
+            return ClosestHits(
+                np.full(n, -1, np.int32), nothing, nothing, nothing, np.zeros((n, 3), np.float32)
+            )
         hit = self._scene.run(origins, directions, dists=float(reach), output=True)
         return ClosestHits(hit["primID"], hit["tfar"], hit["u"], hit["v"], hit["Ng"])
 
-    def occluded(
-        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
-    ) -> np.ndarray:
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
         """(N,) bool: does anything lie within ``reach`` lengths of each ray's direction?
 
         reach : one number, or (N,) float32.

@@ -10,6 +10,7 @@ import numpy as np
 
 from .raytracer import FAR, ClosestHits, RayTracer
 from .triangles import Triangles
+from .vectors import dot, inverse_length, take
 
 # A shadow ray to a point on a mesh ends this fraction short of it, or it would hit the light itself.
 SHORTFALL = np.float32(1.0 - 1e-4)
@@ -70,10 +71,14 @@ class Surfaces:
         if not found.all():
             lane = np.flatnonzero(found)
             hits = ClosestHits(
-                hits.triangle[lane], hits.distance[lane], hits.u[lane], hits.v[lane], hits.normal[lane]
+                hits.triangle.take(lane),
+                hits.distance.take(lane),
+                hits.u.take(lane),
+                hits.v.take(lane),
+                hits.normal.take(lane, axis=0),
             )
-            origins = origins[lane]
-            directions = directions if len(directions) == 1 else directions[lane]
+            origins = origins.take(lane, axis=0)
+            directions = directions if len(directions) == 1 else directions.take(lane, axis=0)
         triangle = hits.triangle if self._camera_rows is None else self._camera_rows[hits.triangle]
         position = np.empty((3, len(triangle)), np.float32)
         for i in range(3):
@@ -81,13 +86,11 @@ class Surfaces:
             position[i] += origins[:, i]
         geometric = np.ascontiguousarray(hits.normal.T)
         flip = _dot_rows(geometric, directions) > 0
-        scale = _inverse_length(geometric)
+        scale = inverse_length(geometric)
         geometric *= np.where(flip, -scale, scale)
-        points = SurfacePoints(
-            lane, triangle, position, geometric, geometric, hits.u, hits.v, None, None
-        )
+        points = SurfacePoints(lane, triangle, position, geometric, geometric, hits.u, hits.v, None, None)
         if self.triangles.smooth is not None:
-            points.smooth = self.triangles.smooth[triangle]
+            points.smooth = self.triangles.smooth.take(triangle)
             points.flipped = flip
             points.normal = self._shading_normal(points)
         return points, hits.distance
@@ -100,12 +103,12 @@ class Surfaces:
         everywhere = lanes.size == len(points)
         smooth, u, v, flipped = points.smooth, points.u, points.v, points.flipped
         if not everywhere:
-            smooth, u, v, flipped = smooth[lanes], u[lanes], v[lanes], flipped[lanes]
-        rows = self.triangles.normals[smooth]
+            smooth, u, v, flipped = (a.take(lanes) for a in (smooth, u, v, flipped))
+        rows = self.triangles.normals.take(smooth, axis=0)
         normal = np.empty((3, len(smooth)), np.float32)
         for i in range(3):
             normal[i] = rows[:, i] + u * rows[:, 3 + i] + v * rows[:, 6 + i]
-        length = _inverse_length(normal)
+        length = inverse_length(normal)
         normal *= np.where(flipped, -length, length)
         vanished = length == 0
         if vanished.any():
@@ -134,17 +137,16 @@ class Surfaces:
         at_infinity, shortened : (K,) bool, or a bool for all: a light without a distance, and a light
             that is itself among the triangles.
         """
-        geometric = points.geometric[:, index]
-        triangle = points.triangle[index]
-        lift = self.triangles.offset[triangle]
-        offset = geometric * lift
+        geometric = take(points.geometric, index)
+        triangle = points.triangle.take(index)
+        offset = geometric * self.triangles.offset.take(triangle)
         if points.smooth is not None:
             self._lift_terminator(points, index, triangle, to_light, cos_shading, geometric, offset)
         origins = np.empty((len(index), 3), np.float32)
         directions = np.empty((len(index), 3), np.float32)
         finite = np.logical_not(at_infinity)
         for i in range(3):
-            np.add(points.position[i][index], offset[i], out=origins[:, i])
+            np.add(points.position[i].take(index), offset[i], out=origins[:, i])
             if np.ndim(finite) == 0:
                 if finite:
                     offset_i = offset[i]
@@ -173,12 +175,12 @@ class Surfaces:
         parabolic estimate of the surface's height over the triangle, faded in below a cosine.
         Adds to ``offset`` (3, K).
         """
-        smooth = points.smooth[index]
+        smooth = points.smooth.take(index)
         cutoff = self.triangles.terminator_offset
         cutoff = cutoff if cutoff.ndim == 0 else cutoff[triangle]
         # The distance only sets the scale of the cosine to the geometric normal.
-        inverse = _inverse_length(to_light)
-        cos_geometric = _dot(geometric, to_light) * inverse
+        inverse = inverse_length(to_light)
+        cos_geometric = dot(geometric, to_light) * inverse
         near = (smooth >= 0) & (np.minimum(cos_geometric, cos_shading) < 2 * cutoff)
         lanes = np.flatnonzero(near)
         if lanes.size == 0:
@@ -197,7 +199,9 @@ class Surfaces:
         fade = fade[fade > 0]
         at = index[lanes]
         flipped = points.flipped[at]
-        height, normal = self._smooth_height(triangle[lanes], smooth[lanes], points.u[at], points.v[at], flipped)
+        height, normal = self._smooth_height(
+            triangle[lanes], smooth[lanes], points.u[at], points.v[at], flipped
+        )
         offset[:, lanes] += normal * (height * fade)
 
     def _smooth_height(
@@ -211,17 +215,17 @@ class Surfaces:
         b0 = 1 - b1 - b2
         normal = n0 * b0 + n1 * b1 + n2 * b2
         p = v0 * b0 + v1 * b1 + v2 * b2
-        a = _dot(n2 - n0, v0 - v2)
-        b = _dot(n2 - n1, v1 - v2)
-        c = _dot(n1 - n0, v1 - v0)
+        a = dot(n2 - n0, v0 - v2)
+        b = dot(n2 - n1, v1 - v2)
+        c = dot(n1 - n0, v1 - v0)
         parabola = 0.5 * (a * b0 * (b0 - 1) + (a + b + c) * b0 * b1 + b * b1 * (b1 - 1))
         # The surface lies within the tangent planes at the corners: on the outside for a viewer in
         # front (sign +1), on the inside for one behind.
         sign = np.where(flipped, np.float32(-1), np.float32(1))
 
         def envelope(near: np.ndarray, n: np.ndarray, others: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-            reach = np.maximum(sign * _dot(others[0] - near, n), sign * _dot(others[1] - near, n))
-            return np.maximum(sign * _dot(near - p, n) + np.maximum(reach, 0), 0)
+            reach = np.maximum(sign * dot(others[0] - near, n), sign * dot(others[1] - near, n))
+            return np.maximum(sign * dot(near - p, n) + np.maximum(reach, 0), 0)
 
         bound = np.minimum(
             np.minimum(envelope(v0, n0, (v1, v2)), envelope(v1, n1, (v0, v2))), envelope(v2, n2, (v0, v1))
@@ -243,27 +247,6 @@ def _tracer_of(triangles: Triangles, which: np.ndarray | bool) -> tuple[RayTrace
     return RayTracer(triangles.vertices[used], compact.reshape(-1, 3).astype(np.int32)), rows
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Inner products of (3, N) arrays."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _dot_rows(a: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Inner products of (3, N) with (N, 3) or (1, 3)."""
     return a[0] * rows[:, 0] + a[1] * rows[:, 1] + a[2] * rows[:, 2]
-
-
-def _inverse_length(a: np.ndarray) -> np.ndarray:
-    """1 / |a| of (3, N) float32 vectors, 0 for a null vector; safe from underflow of the square."""
-    square = _dot(a, a)
-    with np.errstate(divide="ignore", over="ignore"):
-        inverse = 1 / np.sqrt(square)
-    tiny = ~((square > 1e-30) & (square < 1e30))
-    if tiny.any():
-        where = np.flatnonzero(tiny)
-        largest = np.abs(a[:, where]).max(axis=0)
-        safe = np.where(largest > 0, largest, 1)
-        scaled = a[:, where] / safe
-        length = np.sqrt(_dot(scaled, scaled))
-        inverse[where] = np.where(largest > 0, 1 / np.maximum(length * safe, 1e-37), 0)
-    return inverse

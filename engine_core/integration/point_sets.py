@@ -9,6 +9,7 @@ sample of the groups before it ("splitting").
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -33,29 +34,37 @@ class PointSet(Protocol):
 class SobolPoints:
     """One Owen-scrambled Sobol net, moved by a digital (XOR) shift in every bin.
 
-    Each bin sees a (t, m, s)-net for any power of two of samples; groups are decorrelated by
-    scrambling the *order* of the points too (padding one order with another correlates them).
+    Each bin sees a (t, m, s)-net for any power of two of samples. Groups that take one point each
+    together are one net of all their dimensions; a group that is split is decorrelated from the
+    others by scrambling the *order* of its points too, since padding an order with itself
+    correlates it with the others.
     """
 
-    def __init__(self, dimensions: int, seed: int, group: int) -> None:
-        self._dimensions = dimensions
-        self._seeds = [int(hash_combine(seed, group, d)[0]) for d in range(dimensions + 1)]
-        self._net = np.empty((dimensions, 0), np.uint32)
+    def __init__(self, dimensions: Sequence[int], seed: int, group: int, shuffled: bool = False) -> None:
+        """dimensions : which of the Sobol sequence's. group : another number, another scrambling."""
+        self._dimensions = tuple(dimensions)
+        self._shuffled = shuffled
+        self._seeds = [int(hash_combine(seed, group, d)[0]) for d in range(len(self._dimensions) + 1)]
+        self._net = np.empty((len(self._dimensions), 0), np.uint32)
 
     def prepare(self, count: int) -> None:
         if self._net.shape[1] < count:
             index = np.arange(1 << (count - 1).bit_length(), dtype=np.uint32)
-            index = owen_scramble(index, self._seeds[-1])
+            if self._shuffled:
+                index = owen_scramble(index, self._seeds[-1])
             self._net = np.stack(
-                [owen_scramble(sobol(index, d), self._seeds[d]) for d in range(self._dimensions)]
+                [
+                    owen_scramble(sobol(index, d), seed)
+                    for d, seed in zip(self._dimensions, self._seeds, strict=False)
+                ]
             )
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
         net = self._net[:, start : start + count]
-        out = np.empty((self._dimensions, len(keys), count), np.float32)
-        for d in range(self._dimensions):
-            shift = mix(keys ^ np.uint32(self._seeds[d]))
-            out[d] = unit_float(net[d] ^ shift[:, None])
+        out = np.empty((len(net), len(keys), count), np.float32)
+        for row, coordinates, seed in zip(out, net, self._seeds, strict=False):
+            shift = mix(keys ^ np.uint32(seed))
+            row[:] = unit_float(coordinates ^ shift[:, None])
         return out
 
 
@@ -63,6 +72,7 @@ class RandomPoints:
     """Independent pseudo-random points, from a hash of bin, dimension and sample number."""
 
     def __init__(self, dimensions: int, seed: int, group: int) -> None:
+        """dimensions : how many. group : another number, other points."""
         self._seeds = [int(hash_combine(seed, group, d, 1)[0]) for d in range(dimensions)]
 
     def prepare(self, count: int) -> None:
@@ -85,4 +95,18 @@ class RandomPoints:
         return out
 
 
-POINT_SETS = {"sobol": SobolPoints, "monte_carlo": RandomPoints}
+def staged_points(
+    integrator: str, screen: int, rest: int, split: int, seed: int
+) -> tuple[PointSet, PointSet]:
+    """Points for ``screen`` dimensions and for ``rest`` ones, of which a screen point gets ``split``.
+
+    The rest's last two dimensions are where most of the variance is (a point on a light), so they
+    get the pair of Sobol dimensions that measures best there.
+    """
+    if integrator == "monte_carlo":
+        return RandomPoints(screen, seed, 0), RandomPoints(rest, seed, 1)
+    first = range(screen)
+    if split == 1:
+        best, others = (screen, screen + 1), range(screen + 2, screen + rest)
+        return SobolPoints(first, seed, 0), SobolPoints([*others, *best], seed, 1)
+    return SobolPoints(first, seed, 0), SobolPoints([*range(2, rest), 0, 1], seed, 1, shuffled=True)

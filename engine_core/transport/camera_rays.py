@@ -36,9 +36,7 @@ class CameraRays:
         x, y : (B,) pixels of the whole frame. u : (2, B, S) points of each pixel's unit square.
         """
         # Where the pixel begins needs float64: at 4K its float32 is worth only 2^-12 of a pixel.
-        start = (
-            self._corner[:, None] + self._step_x[:, None] * x + self._step_y[:, None] * y
-        )
+        start = self._corner[:, None] + self._step_x[:, None] * x + self._step_y[:, None] * y
         if self._perspective:
             start = start + self._forward[:, None]
         start = start.astype(np.float32)

@@ -19,12 +19,12 @@ from ..geometry.frame import frame_of
 from ..geometry.raytracer import FAR
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
+from ..geometry.vectors import dot, take
 from ..integration.sobol import hash_combine, unit_float
 from ..scene import Scene
 from .camera_rays import CameraRays
 from .emitters import Emitters, emitter_groups
 from .light_choice import BLOCK, PILOT_GRID, LightChoice, light_choice, mean_irradiance
-from .warps import dot
 
 RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
 """Channels of the integrand."""
@@ -76,6 +76,19 @@ class CameraHits:
         return self.points.lane
 
 
+@dataclass(eq=False)
+class Reflected:
+    """Light samples that arrive: row (K,) of the hits, radiance (3, K) already divided by S.
+
+    shadow_rays : how many rays that took. non_finite : samples that were not finite, and count as 0.
+    """
+
+    row: np.ndarray
+    radiance: np.ndarray
+    shadow_rays: int
+    non_finite: int
+
+
 class DirectLight:
     """The integrand of a scene: rays, surfaces, emitters. Shared by all threads.
 
@@ -100,15 +113,22 @@ class DirectLight:
         self._background = np.zeros(3, np.float32)
         if scene.world.visible_to_camera and not transparent:
             self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)
-        self._reflectance = np.array([m.reflectance for m in scene.materials], np.float32).T.copy() / np.float32(
-            np.pi
-        )
+        self._reflectance = np.array(
+            [m.reflectance for m in scene.materials], np.float32
+        ).T.copy() / np.float32(np.pi)
         self._emission = np.maximum([m.emission for m in scene.materials], 0).astype(np.float32).T.copy()
-        self._emits = bool(self._emission[:, np.unique(triangles.material)].any()) if len(triangles) else False
+        self._emits = (
+            bool(self._emission[:, np.unique(triangles.material)].any()) if len(triangles) else False
+        )
         self._one_material = len(scene.materials) == 1
         self._first_light = np.cumsum([0] + [len(group) for group in self.emitters])
         self.lights = int(self._first_light[-1])
-        self._all_cast = all(group.casts_shadow.all() for group in self.emitters)
+        self._light_number = np.min_scalar_type(max(self.lights, 1))
+        none = np.zeros((3, 0), np.float32)
+        self._radiance = np.concatenate([none] + [group.radiance for group in self.emitters], axis=1)
+        self._casts_shadow = np.concatenate(
+            [np.zeros(0, bool)] + [group.casts_shadow for group in self.emitters]
+        )
         self._overview = self._frame_irradiance(scene) if self.lights > 1 else None
 
     # -- choosing among lights ---------------------------------------------------------------------
@@ -131,7 +151,9 @@ class DirectLight:
     ) -> np.ndarray:
         """(K, L) mean unshadowed irradiance at jittered pilot hits in cells of width x height pixels."""
         row, column = np.divmod(np.arange(grid * grid), grid)
-        seed = [hash_combine(cell_x[:, None], cell_y[:, None], row * grid + column, axis) for axis in (71, 72)]
+        seed = [
+            hash_combine(cell_x[:, None], cell_y[:, None], row * grid + column, axis) for axis in (71, 72)
+        ]
         u = np.stack(
             [
                 (column + unit_float(seed[0])) * np.float32(width / grid),
@@ -169,9 +191,8 @@ class DirectLight:
             if not self._transparent:
                 values[ALPHA] = 1
         values[ALPHA, lanes] = 1
-        material = None if self._one_material else self._surfaces.triangles.material[points.triangle]
         if self._emits:
-            values[RGB, lanes] = self._emission if material is None else self._emission[:, material]
+            values[RGB, lanes] = take(self._emission, self._surfaces.triangles.material.take(points.triangle))
         if self._normals:
             values[NORMAL, lanes] = points.normal
         held = None
@@ -191,106 +212,98 @@ class DirectLight:
         if self.lights > 1:
             samples = u.shape[2]
             rows = np.repeat(pixels.block, samples)
-            block = rows if points.lane is None else rows[points.lane]
+            block = rows if points.lane is None else rows.take(points.lane)
         return CameraHits(values, points, depth, block)
 
-    def rest(
-        self, hits: CameraHits, index: np.ndarray | None, u: np.ndarray, choice: LightChoice | None
-    ) -> tuple[np.ndarray, np.ndarray, int, int]:
-        """Reflected radiance at the hits.
+    def rest(self, hits: CameraHits, u: np.ndarray, choice: LightChoice | None) -> Reflected:
+        """Reflected radiance at the M hits, for S samples each.
 
-        index : (N,) ascending rows of ``hits.points``, None for one sample each.
-        u : (3, N) light choice and two dimensions on the light.
-
-        Returns the samples (K,) that are not 0, their radiance (3, K), how many shadow rays that took,
-        and how many samples were not finite (those count as 0).
+        u : (3, M, S) light choice and two dimensions on the light.
         """
         points = hits.points
-        n = u.shape[1]
-        if self.lights == 0 or n == 0:
-            return np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0
-        position, normal = points.position, points.normal
-        if index is not None:
-            position, normal = position[:, index], normal[:, index]
+        split = u.shape[2]
+        if self.lights == 0 or u.size == 0:
+            return Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
         if self.lights == 1:
-            group = self.emitters[0]
-            to_light, weight = group.sample(None, position, normal, u[0], u[1:])
             light = None
-            at_infinity, is_mesh = group.at_infinity, group.is_mesh
+            at = None if split == 1 else np.repeat(np.arange(len(points)), split)
+            position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
+            u = u.reshape(3, -1)
+            to_light, weight = self.emitters[0].sample(None, position, normal, u[0], u[1:])
+            at_infinity, is_mesh = self.emitters[0].at_infinity, self.emitters[0].is_mesh
         else:
-            block = hits.block if index is None else hits.block[index]
-            light, pdf, w = choice.choose(block, u[0])
-            to_light, weight, at_infinity, is_mesh = self._sample_chosen(light, position, normal, w, u[1:])
+            light, pdf, w = choice.choose(hits.block, u[0])
+            # Side by side, samples of one light run through the same code and towards the same place.
+            order = np.argsort(light.astype(self._light_number), kind="stable")
+            light, pdf, w = light.take(order), pdf.take(order), w.take(order)
+            at = order if split == 1 else order // split
+            position, normal = take(points.position, at), take(points.normal, at)
+            u = take(u[1:].reshape(2, -1), order)
+            to_light, weight, at_infinity, is_mesh = self._sample_sorted(light, position, normal, w, u)
             weight /= pdf
-        square = dot(to_light, to_light)
         cosine = dot(normal, to_light)
-        cosine /= np.sqrt(np.maximum(square, np.float32(1e-37)))
+        cosine /= np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-37)))
         weight = weight * np.maximum(cosine, 0)
         lit = np.flatnonzero(weight)
-        finite = np.isfinite(weight[lit])
-        bad = lit.size - int(np.count_nonzero(finite))
-        if bad:
-            lit = lit[finite]
-        at = lit if index is None else index[lit]
-        if lit.size < n:
-            to_light, cosine, weight = to_light[:, lit], cosine[lit], weight[lit]
-            at_infinity = at_infinity if np.ndim(at_infinity) == 0 else at_infinity[lit]
-            is_mesh = is_mesh if np.ndim(is_mesh) == 0 else is_mesh[lit]
-            light = None if light is None else light[lit]
-        visible = self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light)
-        shadow_rays = lit.size
-        lit, at, weight = lit[visible], at[visible], weight[visible]
-        if light is None:
-            colour = self.emitters[0].radiance
-        else:
-            colour = self._radiance()[:, light[visible]]
+        bad = lit.size
+        if not np.isfinite(weight.sum()):
+            lit = lit[np.isfinite(weight[lit])]
+        bad -= lit.size
+        if lit.size < weight.size:
+            to_light, cosine, weight = take(to_light, lit), cosine.take(lit), weight.take(lit)
+            at_infinity, is_mesh = (a if np.ndim(a) == 0 else a.take(lit) for a in (at_infinity, is_mesh))
+            at = lit if at is None else at.take(lit)
+            light = None if light is None else light.take(lit)
+        elif at is None:
+            at = lit
+        visible = np.flatnonzero(self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light))
+        shadow_rays = at.size
+        at, weight = at.take(visible), weight.take(visible)
+        colour = self._radiance if light is None else take(self._radiance, light.take(visible))
         if self._one_material:
             radiance = (self._reflectance * colour) * weight
         else:
-            material = self._surfaces.triangles.material[points.triangle[at]]
-            radiance = self._reflectance[:, material] * colour * weight
-        return lit, radiance, shadow_rays, bad
+            material = self._surfaces.triangles.material.take(points.triangle.take(at))
+            radiance = take(self._reflectance, material) * colour
+            radiance *= weight
+        if split > 1:
+            radiance *= np.float32(1 / split)
+        return Reflected(at, radiance, shadow_rays, bad)
 
-    def _radiance(self) -> np.ndarray:
-        """(3, L) of all lights."""
-        return np.concatenate([group.radiance for group in self.emitters], axis=1)
-
-    def _sample_chosen(self, light, position, normal, w, u):
-        """Samples of different kinds of lights, put together lane by lane."""
-        if len(self.emitters) == 1:
-            group = self.emitters[0]
-            to_light, weight = group.sample(light, position, normal, w, u)
-            return to_light, np.array(weight), group.at_infinity, group.is_mesh
+    def _sample_sorted(self, light, position, normal, w, u):
+        """Samples of lights in ascending order, kind after kind."""
         n = len(light)
         to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
         at_infinity, is_mesh = np.zeros((2, n), bool)
-        for group, start in zip(self.emitters, self._first_light[:-1], strict=True):
-            lanes = np.flatnonzero((light >= start) & (light < start + len(group)))
-            if lanes.size == 0:
+        cuts = np.searchsorted(light, self._first_light)
+        for group, start, low, high in zip(
+            self.emitters, self._first_light[:-1], cuts[:-1], cuts[1:], strict=True
+        ):
+            if low == high:
                 continue
-            which = light[lanes] - start if len(group) > 1 else None
-            to_light[:, lanes], weight[lanes] = group.sample(
-                which, position[:, lanes], normal[:, lanes], w[lanes], u[:, lanes]
+            part = slice(low, high)
+            which = light[part] - start if len(group) > 1 else None
+            to_light[:, part], weight[part] = group.sample(
+                which, position[:, part], normal[:, part], w[part], u[:, part]
             )
-            at_infinity[lanes] = group.at_infinity
-            is_mesh[lanes] = group.is_mesh
+            at_infinity[part] = group.at_infinity
+            is_mesh[part] = group.is_mesh
+        if len({group.at_infinity for group in self.emitters}) == 1:
+            at_infinity = self.emitters[0].at_infinity
+        if len({group.is_mesh for group in self.emitters}) == 1:
+            is_mesh = self.emitters[0].is_mesh
         return to_light, weight, at_infinity, is_mesh
 
     def _visible(self, points, at, to_light, cosine, at_infinity, is_mesh, light):
-        if self._all_cast:
+        if self._casts_shadow.all():
             return self._surfaces.visible(points, at, to_light, cosine, at_infinity, is_mesh)
-        casts = np.concatenate([group.casts_shadow for group in self.emitters])
-        casts = casts[0] if light is None else casts[light]
-        visible = np.ones(len(at), bool)
-        lanes = np.flatnonzero(np.broadcast_to(casts, len(at)))
+        casts = np.repeat(self._casts_shadow, len(at)) if light is None else self._casts_shadow.take(light)
+        visible = ~casts
+        lanes = np.flatnonzero(casts)
         if lanes.size:
+            at_infinity, is_mesh = (a if np.ndim(a) == 0 else a.take(lanes) for a in (at_infinity, is_mesh))
             visible[lanes] = self._surfaces.visible(
-                points,
-                at[lanes],
-                to_light[:, lanes],
-                cosine[lanes],
-                at_infinity if np.ndim(at_infinity) == 0 else at_infinity[lanes],
-                is_mesh if np.ndim(is_mesh) == 0 else is_mesh[lanes],
+                points, at.take(lanes), take(to_light, lanes), cosine.take(lanes), at_infinity, is_mesh
             )
         return visible
 
@@ -310,11 +323,11 @@ class DirectLightOverTile:
         self.camera_rays += u[0].size
         return self._integrand.first(pixels, u)
 
-    def rest(self, hits: CameraHits, index: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        sample, radiance, shadow_rays, bad = self._integrand.rest(hits, index, u, self._choice)
-        self.shadow_rays += shadow_rays
-        self.non_finite += bad
-        return sample, radiance
+    def rest(self, hits: CameraHits, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        reflected = self._integrand.rest(hits, u, self._choice)
+        self.shadow_rays += reflected.shadow_rays
+        self.non_finite += reflected.non_finite
+        return reflected.row, reflected.radiance
 
 
 def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:
@@ -323,9 +336,9 @@ def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:
     return SurfacePoints(
         keep if points.lane is None else points.lane[keep],
         points.triangle[keep],
-        points.position[:, keep],
-        points.geometric[:, keep],
-        points.normal[:, keep],
+        take(points.position, keep),
+        take(points.geometric, keep),
+        take(points.normal, keep),
         points.u[keep],
         points.v[keep],
         None if points.smooth is None else points.smooth[keep],

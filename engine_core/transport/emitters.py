@@ -24,8 +24,9 @@ import numpy as np
 from ..geometry.frame import Frame
 from ..geometry.raytracer import FAR
 from ..geometry.triangles import Triangles
+from ..geometry.vectors import dot, length, take
 from ..scene import AreaLight, Light, Material, PointLight, SpotLight, SunLight, World
-from .warps import basis, cap, concentric_disk, dot, length, sin_sqr_to_one_minus_cos
+from .warps import basis, cap, concentric_disk, sin_sqr_to_one_minus_cos
 
 Sample = tuple[np.ndarray, np.ndarray]
 
@@ -78,7 +79,7 @@ class Emitters:
 
 def _of(table: np.ndarray, which: np.ndarray | None) -> np.ndarray:
     """Rows of a group's table (..., L) for each lane; a single light is broadcast."""
-    return table if which is None else table[..., which]
+    return table if which is None else take(table, which)
 
 
 class _Cone:
@@ -122,9 +123,7 @@ class _Points(Emitters):
         radiance = []
         for light in lights:
             if light.radius > 0:
-                radiance.append(
-                    light.power / (4 * np.pi**2 * light.radius**2 if light.normalize else np.pi)
-                )
+                radiance.append(light.power / (4 * np.pi**2 * light.radius**2 if light.normalize else np.pi))
             else:
                 intensity = light.power / (4 * np.pi if light.normalize else np.pi)
                 radiance.append(intensity * frame.scale**2)
@@ -359,9 +358,7 @@ class SunEmitters(Emitters):
         self._sin = np.sin(half).astype(np.float32)
         self._frames = basis(self._axis)
         self._any_size = bool((half > 0).any())
-        self._visible = [
-            i for i, light in enumerate(lights) if light.visible_to_camera and light.angle > 0
-        ]
+        self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera and light.angle > 0]
 
     def sample(self, which, position, normal, w, u):
         m = position.shape[1]
@@ -450,11 +447,11 @@ class MeshEmitters(Emitters):
         np.clip(triangle, self._start[light], self._start[light + 1] - 1, out=triangle)
         root = np.sqrt(u[0])
         b1, b2 = 1 - root, root * u[1]
-        to_light = self._corner[:, triangle] - position
-        to_light += b1 * self._a[:, triangle]
-        to_light += b2 * self._b[:, triangle]
+        to_light = take(self._corner, triangle) - position
+        to_light += b1 * take(self._a, triangle)
+        to_light += b2 * take(self._b, triangle)
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        cosine_d = np.abs(dot(self._normal[:, triangle], to_light))
+        cosine_d = np.abs(dot(take(self._normal, triangle), to_light))
         return to_light, _of(self._area, which) * cosine_d / (square * np.sqrt(square))
 
     def irradiance(self, position, normal):

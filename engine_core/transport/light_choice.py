@@ -42,20 +42,23 @@ class LightChoice:
         self.cdf[:, -1] = 1
 
     def choose(self, block: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lights (M,), their probabilities (M,), and ``w`` (M,) stretched over the chosen interval.
+        """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
-        block : (M,) ascending rows of the table. w : (M,) uniform in (0, 1).
+        block : (M,) ascending rows of the table. w : (M, S) uniform in (0, 1).
         """
-        light = np.empty(len(w), np.intp)
+        light = np.empty(w.shape, np.intp)
         starts = np.flatnonzero(np.diff(block, prepend=-1))
         for start, stop in zip(starts, np.append(starts[1:], len(w)), strict=True):
             light[start:stop] = np.searchsorted(self.cdf[block[start]], w[start:stop], side="right")
-        np.minimum(light, self.cdf.shape[1] - 1, out=light)
-        flat = block * self.cdf.shape[1] + light
-        pdf = self.pdf.reshape(-1)[flat]
-        below = self.cdf.reshape(-1)[flat] - pdf
-        stretched = np.clip((w - below) / pdf, 0, np.float32(1 - 2.0**-24))
-        return light, pdf, stretched
+        lights = self.cdf.shape[1]
+        np.minimum(light, lights - 1, out=light)
+        flat = (light + block[:, None] * lights).reshape(-1)
+        pdf = self.pdf.reshape(-1).take(flat)
+        stretched = w.reshape(-1) - self.cdf.reshape(-1).take(flat)
+        stretched /= pdf
+        stretched += 1
+        np.clip(stretched, 0, np.float32(1 - 2.0**-24), out=stretched)
+        return light.reshape(-1), pdf, stretched
 
 
 def mean_irradiance(

@@ -8,16 +8,6 @@ import numpy as np
 TWO_PI = np.float32(2 * np.pi)
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Inner products of component-first vectors (3, ...)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def length(a: np.ndarray) -> np.ndarray:
-    """Lengths of component-first vectors (3, ...)."""
-    return np.sqrt(dot(a, a))
-
-
 def basis(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors (3, N) perpendicular to the unit vectors ``n`` (3, N) and to each other.
 

@@ -7,7 +7,7 @@ class CVRenderError(Exception):
 
 
 class SceneError(CVRenderError, ValueError):
-    """A scene, or a setting, that cannot be rendered; the message names the field, its shape and its value."""
+    """A scene, or a setting, that cannot be rendered; the message names field, shape and value."""
 
 
 class RenderError(CVRenderError, RuntimeError):

@@ -299,7 +299,7 @@ def _light_samples(lights: int) -> int:
     """Shadow rays for each camera ray: one for one light, up to 8 (a power of two) for several.
 
     An edge of a shadow integrates as n^-0.75 over a net of n points, so several lights want their
-    nets long more than they want camera rays (measured: benchmarks/ablation.py).
+    nets long more than they want camera rays (docs/sampling.md has the figures).
     """
     return 1 << (min(max(lights, 1), 8) - 1).bit_length()
 

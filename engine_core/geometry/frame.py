@@ -28,7 +28,7 @@ class Frame:
 
 
 def frame_of(scene: Scene) -> Frame:
-    """The frame about the camera in which a typical vertex (or light, if there is none) is at distance 1 to 2."""
+    """The frame about the camera in which a typical vertex (without any, a light) is 1 to 2 away."""
     origin = scene.camera.camera_to_world[:3, 3]
     points = [_some_vertices(mesh) for mesh in scene.meshes if len(mesh.vertices)]
     if not points:

@@ -77,7 +77,10 @@ class Camera:
         up: Any = (0.0, 0.0, 1.0),
         **fields: Any,
     ) -> Camera:
-        """A perspective camera at ``position`` towards ``target``; ``field_of_view`` (radians) spans the wider side."""
+        """A perspective camera at ``position`` that looks at ``target``.
+
+        field_of_view : in radians, across the wider side.
+        """
         position = np.asarray(position, float)
         back = position - np.asarray(target, float)
         back /= np.linalg.norm(back)

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frame import frame_of
-from ..geometry.raytracer import FAR
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, take
 from ..integration.sobol import hash_combine, unit_float
 from ..scene import Scene
 from .camera_rays import CameraRays
-from .emitters import Emitters, emitter_groups
+from .emitters import emitter_groups
 from .light_choice import BLOCK, PILOT_GRID, LightChoice, light_choice, mean_irradiance
 
 RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
@@ -134,7 +133,10 @@ class DirectLight:
     # -- choosing among lights ---------------------------------------------------------------------
 
     def choice_of_blocks(self, block_x: np.ndarray, block_y: np.ndarray) -> LightChoice | None:
-        """The light choice of K blocks (K,), numbered from the whole frame's corner; None for at most one light."""
+        """The light choice of K blocks, None for at most one light.
+
+        block_x, block_y : (K,) numbered from the whole frame's corner.
+        """
         if self.lights < 2:
             return None
         irradiance = self._pilot_irradiance(block_x, block_y, BLOCK, BLOCK, PILOT_GRID)

@@ -68,7 +68,7 @@ class Emitters:
         raise NotImplementedError
 
     def seen(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray | None:
-        """(3, N) radiance of lights that camera rays see nearer than ``distance`` (N,), None if there are none."""
+        """(3, N) radiance of lights that camera rays see before ``distance`` (N,), None if there are none."""
         return None
 
     @property
@@ -163,24 +163,23 @@ class PointEmitters(_Points):
 
 
 class DiskEmitters(_Points):
-    """Blender's "soft falloff": disks that face the shaded point, sampled by area.
+    """Blender's "soft falloff": disks that face the shaded point, sampled by the cone that they fill.
 
-    Measure: pi r^2 cos / d'^2 with cos = d / d', d' the distance to the sampled point.
+    Measure: the cone's solid angle, 2 pi (1 - cos) with tan = r / d.
     """
 
     def sample(self, which, position, normal, w, u):
         centre = _of(self._position, which) - position
         radius = _of(self._radius, which)
         square = np.maximum(dot(centre, centre), np.float32(1e-30))
-        distance = np.sqrt(square)
-        s, t = basis(centre / distance)
-        x, y = concentric_disk(u[0], u[1])
-        x *= radius
-        y *= radius
-        to_light = centre + x * s + y * t
-        square = square + x * x + y * y
-        measure = np.float32(np.pi) * radius * radius * distance / (square * np.sqrt(square))
-        return to_light, self._attenuate(measure, which, to_light)
+        r2 = radius * radius
+        one_minus_cos = sin_sqr_to_one_minus_cos(r2 / (r2 + square))
+        axis = centre / np.sqrt(square)
+        x, y, below = cap(u[0], u[1], one_minus_cos)
+        s, t = basis(axis)
+        stretch = np.sqrt(square) / (1 - below)
+        to_light = centre + (x * stretch) * s + (y * stretch) * t
+        return to_light, self._attenuate(np.float32(2 * np.pi) * one_minus_cos, which, to_light)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -249,8 +248,16 @@ class SphereEmitters(_Points):
         return _seen(self, self._visible, intersect, directions, distance)
 
 
+# A rectangle seen under more than this solid angle is sampled by it; a smaller one's area will do.
+_SMALL = np.float32(0.3)
+
+
 class AreaEmitters(Emitters):
-    """Rectangles and ellipses, one-sided, sampled by area. Measure: A cos / d^2, times the spread's grid."""
+    """Rectangles and ellipses, one-sided. Measure times the spread's grid, where there is one.
+
+    Sampled by area, measure A cos / d^2; a rectangle that is large for the shaded point by its solid
+    angle, which then is the measure: nothing peaks however near it is.
+    """
 
     def __init__(self, lights: Sequence[AreaLight], frame: Frame) -> None:
         radiance = []
@@ -279,6 +286,10 @@ class AreaEmitters(Emitters):
         self._tan_half = np.array([min(row[3], 1e30) for row in rows], np.float32)
         self._normalise = np.array([row[4] for row in rows], np.float32)
         self._any_grid = bool(self._normalise.any())
+        lengths = length(self._edge_x), length(self._edge_y)
+        sheared = np.abs(dot(self._edge_x, self._edge_y)) > 1e-4 * lengths[0] * lengths[1]
+        # No solid angle for what is no rectangle.
+        self._large = np.where(sheared | self._ellipse, np.float32(0), self._area / _SMALL)
         self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera]
 
     def _grid(self, which: np.ndarray | None, cosine: np.ndarray) -> np.ndarray:
@@ -295,13 +306,24 @@ class AreaEmitters(Emitters):
             dx, dy = concentric_disk(u[0], u[1])
             x, y = np.where(ellipse, 0.5 * dx, x), np.where(ellipse, 0.5 * dy, y)
         edge_x, edge_y, facing = (_of(t, which) for t in (self._edge_x, self._edge_y, self._facing))
-        to_light = _of(self._centre, which) - position
-        to_light += x * edge_x
+        centre = _of(self._centre, which) - position
+        to_light = centre + x * edge_x
         to_light += y * edge_y
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         cosine_d = np.maximum(-dot(facing, to_light), 0)
         inverse = 1 / np.sqrt(square)
         measure = _of(self._area, which) * cosine_d * inverse / square
+        near = np.flatnonzero(dot(centre, centre) < _of(self._large, which))
+        if near.size:
+            edges = [e if e.shape[1] == 1 else take(e, near) for e in (edge_x, edge_y, facing)]
+            vector, solid_angle = _spherical_rectangle(take(centre, near), *edges, take(u, near))
+            use = np.flatnonzero(solid_angle > 0)
+            near = near.take(use)
+            to_light[:, near] = take(vector, use)
+            measure[near] = solid_angle.take(use)
+            if self._any_grid:
+                cosine_d[near] = np.maximum(-dot(np.broadcast_to(facing, to_light.shape), to_light), 0)[near]
+                inverse[near] = 1 / np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-30)))[near]
         if self._any_grid:
             measure *= self._grid(which, np.minimum(cosine_d * inverse, 1))
         return to_light, measure
@@ -462,6 +484,43 @@ class MeshEmitters(Emitters):
         size = np.minimum(reach * inverse, 1)
         surface = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
         return self.brightness * self._area[:, None] * surface * 0.5 / (square + reach * reach)
+
+
+def _spherical_rectangle(
+    centre: np.ndarray, edge_x: np.ndarray, edge_y: np.ndarray, facing: np.ndarray, u: np.ndarray
+) -> Sample:
+    """Vectors (3, M) to points of a rectangle, uniform in solid angle, and that angle (M,).
+
+    C. Urena, M. Fajardo, A. King, "An Area-Preserving Parametrization for Spherical Rectangles",
+    2013. The angle is 0 where it is too small for this map, or the rectangle turns its back.
+    """
+    length_x, length_y = length(edge_x), length(edge_y)
+    x, y = edge_x / length_x, edge_y / length_y
+    z0 = dot(facing, centre)
+    height = np.maximum(-z0, np.float32(1e-30))
+    xc, yc = dot(x, centre), dot(y, centre)
+    x0, x1 = xc - 0.5 * length_x, xc + 0.5 * length_x
+    y0, y1 = yc - 0.5 * length_y, yc + 0.5 * length_y
+    squared = height * height
+    # z components of the normals of the four planes through the edges.
+    n0, n1, n2, n3 = (a / np.sqrt(a * a + squared) for a in (-y0, x1, y1, -x0))
+    # Inner angles less pi / 2, whose sum is the solid angle without cancellation.
+    g0, g1, g2, g3 = (np.arcsin(a * b) for a, b in ((n0, n1), (n1, n2), (n2, n3), (n3, n0)))
+    solid_angle = g0 + g1 + g2 + g3
+    usable = (z0 < 0) & (solid_angle > np.float32(1e-3))
+    phi = u[0] * solid_angle - g2 - g3
+    sin = np.sin(phi)
+    sin = np.where(np.abs(sin) < 1e-12, np.float32(1e-12), sin)
+    f = (np.cos(phi) * n0 + n2) / sin
+    c = np.copysign(1 / np.sqrt(f * f + n0 * n0), f)
+    c = np.clip(c, -1, 1)
+    xu = np.clip(c * height / np.sqrt(np.maximum(1 - c * c, np.float32(1e-14))), x0, x1)
+    d = np.sqrt(xu * xu + squared)
+    h0, h1 = y0 / np.sqrt(d * d + y0 * y0), y1 / np.sqrt(d * d + y1 * y1)
+    h = h0 + u[1] * (h1 - h0)
+    yu = np.clip(h * d / np.sqrt(np.maximum(1 - h * h, np.float32(1e-14))), y0, y1)
+    vector = xu * x + yu * y - height * facing
+    return vector, np.where(usable, solid_angle, 0)
 
 
 def _cosine_hemisphere(normal: np.ndarray, u: np.ndarray) -> Sample:

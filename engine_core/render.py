@@ -12,7 +12,7 @@ from threading import Event
 import numpy as np
 
 from .errors import RenderError
-from .image.film import FAR, Film
+from .image.film import FAR, LARGEST, Film
 from .integration.point_sets import staged_points
 from .integration.sample_mean import sum_samples
 from .scene import Camera, Scene
@@ -246,7 +246,7 @@ class _Render:
             self._settings.batch_size,
             after_first,
         )
-        mean = (sums.values / count).astype(np.float32)
+        mean = np.minimum(sums.values / count, LARGEST).astype(np.float32)
         before = film.combined[row, column].T
         if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
             self._retire_blocks(tile, pixels, before[:3], mean[:3])

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .errors import SceneError
-from .scene.validation import set_number
+from .scene.validation import set_integer, set_number
 
 INTEGRATORS = ("sobol", "monte_carlo")
 MAX_SAMPLES = 1 << 20
@@ -43,7 +43,7 @@ class Settings:
     transparent: bool = False
     normals: bool = False
     tile_size: int = 0
-    batch_size: int = 16384
+    batch_size: int = 32768
 
     def __post_init__(self) -> None:
         if self.integrator not in INTEGRATORS:
@@ -57,7 +57,7 @@ class Settings:
             ("tile_size", 0, 4096),
             ("batch_size", 64, 1 << 22),
         ):
-            object.__setattr__(self, field, int(set_number(self, field, low, high)))
+            set_integer(self, field, low, high)
         if self.tile_size % 16:
             raise SceneError(f"Settings: tile_size is {self.tile_size}, wanted a multiple of 16")
         set_number(self, "noise_threshold", 0.0)

@@ -11,6 +11,9 @@ import numpy as np
 FAR = np.float32(1e10)
 """Depth where the camera ray met nothing, as in Cycles."""
 
+LARGEST = 1e37
+"""What no pixel exceeds: a picture holds no Inf, however bright the scene."""
+
 
 @dataclass(eq=False)
 class Film:

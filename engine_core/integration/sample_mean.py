@@ -54,7 +54,7 @@ def sum_samples(
     start: int,
     count: int,
     split: int = 1,
-    batch: int = 16384,
+    batch: int = 32768,
     after_first: Callable[[slice, int, FirstStage], None] | None = None,
 ) -> Sums:
     """Sum of samples ``start`` to ``start + count`` of every bin.

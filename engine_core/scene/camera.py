@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .validation import fail, set_array, set_number
+from .validation import fail, set_array, set_integer, set_number
+
+MAX_PIXELS = 1 << 20
+"""The longest edge of a frame."""
 
 PROJECTIONS = ("perspective", "orthographic")
 
@@ -49,9 +52,7 @@ class Camera:
         if not (left != right and bottom != top):
             raise fail(self, "viewplane", f"is empty: {(left, right, bottom, top)}")
         for field in ("width", "height"):
-            if int(getattr(self, field)) < 1:
-                raise fail(self, field, f"is {getattr(self, field)}, wanted at least one pixel")
-            object.__setattr__(self, field, int(getattr(self, field)))
+            set_integer(self, field, 1, MAX_PIXELS)
         if self.region is None:
             object.__setattr__(self, "region", (0, 0, self.width, self.height))
         x0, y0, x1, y1 = (int(v) for v in set_array(self, "region", (4,), int))

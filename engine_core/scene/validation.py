@@ -30,8 +30,14 @@ def set_array(
     """Replace a frozen dataclass' ``field`` by a read-only array of ``shape`` (None: any length)."""
     value = getattr(instance, field)
     try:
-        array = np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
+        array = np.asarray(value)
+        if np.issubdtype(dtype, np.integer) and array.size and array.dtype != dtype:
+            limits = np.iinfo(dtype)
+            # Written so that NaN fails as well.
+            if not (array.min() >= limits.min and array.max() <= limits.max):
+                raise ValueError(f"values from {array.min()} to {array.max()}")
+        array = np.asarray(array, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
         raise fail(instance, field, f"is no array of numbers ({error})") from None
     if array.ndim != len(shape) or any(
         n is not None and n != m for n, m in zip(shape, array.shape, strict=False)
@@ -53,6 +59,13 @@ def set_colour(instance: Any, field: str) -> np.ndarray:
     if np.ndim(getattr(instance, field)) == 0:
         object.__setattr__(instance, field, np.full(3, getattr(instance, field), float))
     return set_array(instance, field, (3,))
+
+
+def set_integer(instance: Any, field: str, low: int, high: int) -> int:
+    """Replace ``field`` by an int in [low, high]; a fraction is cut off."""
+    number = int(set_number(instance, field, low, high))
+    object.__setattr__(instance, field, number)
+    return number
 
 
 def set_number(

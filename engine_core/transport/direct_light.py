@@ -124,7 +124,7 @@ class DirectLight:
         self.lights = int(self._first_light[-1])
         self._light_number = np.min_scalar_type(max(self.lights, 1))
         none = np.zeros((3, 0), np.float32)
-        self._radiance = np.concatenate([none] + [group.radiance for group in self.emitters], axis=1)
+        self._strength = np.concatenate([none] + [group.strength for group in self.emitters], axis=1)
         self._casts_shadow = np.concatenate(
             [np.zeros(0, bool)] + [group.casts_shadow for group in self.emitters]
         )
@@ -204,7 +204,9 @@ class DirectLight:
             where = np.flatnonzero(held) if hit_all else lane[held]
             values[:, where] = 0
         for group in self.emitters:
-            seen = group.seen(origins, directions, depth)
+            # What is infinitely far is behind everything, but beyond no clipping plane.
+            limit = depth if group.at_infinity else np.minimum(depth, np.float32(self._rays.reach))
+            seen = group.seen(origins, directions, limit)
             if seen is not None:
                 values[RGB] += seen
         depth = (depth + np.float32(self._rays.clip_start)) * np.float32(self._unscale)
@@ -261,7 +263,7 @@ class DirectLight:
         visible = np.flatnonzero(self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light))
         shadow_rays = at.size
         at, weight = at.take(visible), weight.take(visible)
-        colour = self._radiance if light is None else take(self._radiance, light.take(visible))
+        colour = self._strength if light is None else take(self._strength, light.take(visible))
         if self._one_material:
             radiance = (self._reflectance * colour) * weight
         else:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light sources as functions of a point in primary space: every map beside its measure.
 
-Lights of one kind form a group that is sampled at once. A sample is a vector to a point of the
-light and a *measure*: what radiance must be multiplied with, besides the surface's cosine, to give
-irradiance; that is the light's own cosine, the change of variables to solid angle and one over the
-pdf, together, so that nothing singular is ever formed. Here, and nowhere else, watts become
-radiance, as Cycles has it:
+Lights of one kind form a group that is sampled at once. A light has a *strength*, its radiance times
+its size (the area that faces a viewer; a sun's solid angle), which is finite for a light without size.
+A sample is a vector to a point of the light and a *measure*: what the strength must be multiplied with,
+besides the surface's cosine, to give irradiance; that is the light's own cosine, the change of variables
+to solid angle and one over pdf and size, together, so that nothing singular is ever formed. Here, and
+nowhere else, watts become radiance, as Cycles has it:
 
     point, spot   L = P / (4 pi^2 r^2), or intensity I = P / (4 pi) for r = 0
     area          L = P / (pi A)
@@ -30,11 +31,15 @@ from .warps import basis, cap, concentric_disk, sin_sqr_to_one_minus_cos
 
 Sample = tuple[np.ndarray, np.ndarray]
 
+_LARGEST = 1e37
+"""What no strength or radiance exceeds, so that float32 has room for a few factors."""
+
 
 class Emitters:
     """A group of lights of one kind.
 
-    radiance : (3, L) float32; intensity or irradiance where a light has no size.
+    strength : (3, L) float32, radiance times size.
+    size : (L,) float64, 0 where a light has none.
     casts_shadow : (L,) bool.
     at_infinity : no distance; a mesh: part of the traced triangles.
     """
@@ -42,12 +47,16 @@ class Emitters:
     at_infinity = False
     is_mesh = False
 
-    def __init__(self, radiance: Sequence[np.ndarray], casts_shadow: Sequence[bool]) -> None:
-        self.radiance = np.ascontiguousarray(np.stack(radiance, axis=1), np.float32)
+    def __init__(self, strength: np.ndarray, size: np.ndarray, casts_shadow: Sequence[bool]) -> None:
+        """strength : (L, 3) float64. size : (L,) float64, 0 where a light has none."""
+        self.strength = np.minimum(strength, _LARGEST).T.astype(np.float32)
         self.casts_shadow = np.array(casts_shadow, bool)
+        self.size = np.asarray(size, np.float64)
+        with np.errstate(divide="ignore", over="ignore"):
+            self._radiance = np.minimum(np.asarray(strength).T / self.size, _LARGEST).astype(np.float32)
 
     def __len__(self) -> int:
-        return self.radiance.shape[1]
+        return self.strength.shape[1]
 
     def sample(
         self, which: np.ndarray | None, position: np.ndarray, normal: np.ndarray, w: np.ndarray, u: np.ndarray
@@ -73,8 +82,8 @@ class Emitters:
 
     @property
     def brightness(self) -> np.ndarray:
-        """(L, 1) mean of the colour channels."""
-        return self.radiance.mean(axis=0)[:, None]
+        """(L, 1) mean of the strength's colour channels."""
+        return (self.strength / 3).sum(axis=0)[:, None]
 
 
 def _of(table: np.ndarray, which: np.ndarray | None) -> np.ndarray:
@@ -120,14 +129,12 @@ class _Points(Emitters):
     """Point and spot lights: position, radius and cone."""
 
     def __init__(self, lights: Sequence[PointLight | SpotLight], frame: Frame) -> None:
-        radiance = []
-        for light in lights:
-            if light.radius > 0:
-                radiance.append(light.power / (4 * np.pi**2 * light.radius**2 if light.normalize else np.pi))
-            else:
-                intensity = light.power / (4 * np.pi if light.normalize else np.pi)
-                radiance.append(intensity * frame.scale**2)
-        super().__init__(radiance, [light.casts_shadow for light in lights])
+        radius = np.array([light.radius for light in lights])
+        strength = np.array([light.power for light in lights]) * frame.scale**2
+        for row, light in zip(strength, lights, strict=True):
+            row /= 4 * np.pi if light.normalize else (1 / light.radius**2 if light.radius > 0 else np.pi)
+        size = np.pi * (radius * frame.scale) ** 2
+        super().__init__(strength, size, [light.casts_shadow for light in lights])
         self._position = frame.positions([_position(light) for light in lights]).T.copy()
         self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
         self._cone = _Cone(lights)
@@ -144,8 +151,7 @@ class _Points(Emitters):
         size = np.minimum(radius * inverse, 1)
         cosine = dot(to_light, normal[:, None, :]) * inverse
         cosine = np.clip((cosine + size) / (1 + size), 0, 1)
-        area = np.where(radius > 0, np.float32(np.pi) * radius * radius, np.float32(1))
-        estimate = self.brightness * area * cosine / (square + radius * radius)
+        estimate = self.brightness * cosine / (square + radius * radius)
         if self._cone.any:
             which = np.broadcast_to(np.arange(len(self))[:, None], square.shape)
             cone = self._cone.attenuation(which, to_light, size + np.float32(1e-3))
@@ -154,7 +160,7 @@ class _Points(Emitters):
 
 
 class PointEmitters(_Points):
-    """Lights without size. Measure: 1 / d^2, for an intensity."""
+    """Lights without size. Measure: 1 / d^2."""
 
     def sample(self, which, position, normal, w, u):
         to_light = _of(self._position, which) - position
@@ -165,21 +171,21 @@ class PointEmitters(_Points):
 class DiskEmitters(_Points):
     """Blender's "soft falloff": disks that face the shaded point, sampled by the cone that they fill.
 
-    Measure: the cone's solid angle, 2 pi (1 - cos) with tan = r / d.
+    Measure: the cone's solid angle over the disk's area, 2 (1 - cos) / r^2 with tan = r / d.
     """
 
     def sample(self, which, position, normal, w, u):
         centre = _of(self._position, which) - position
         radius = _of(self._radius, which)
         square = np.maximum(dot(centre, centre), np.float32(1e-30))
-        r2 = radius * radius
-        one_minus_cos = sin_sqr_to_one_minus_cos(r2 / (r2 + square))
+        whole = square + radius * radius
+        one_minus_cos = sin_sqr_to_one_minus_cos(radius * radius / whole)
         axis = centre / np.sqrt(square)
         x, y, below = cap(u[0], u[1], one_minus_cos)
         s, t = basis(axis)
         stretch = np.sqrt(square) / (1 - below)
         to_light = centre + (x * stretch) * s + (y * stretch) * t
-        return to_light, self._attenuate(np.float32(2 * np.pi) * one_minus_cos, which, to_light)
+        return to_light, self._attenuate(2 / (whole * (2 - one_minus_cos)), which, to_light)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -193,9 +199,9 @@ class DiskEmitters(_Points):
 
 
 class SphereEmitters(_Points):
-    """Spheres, sampled by the cone that they fill. Measure: the cone's solid angle, 2 pi (1 - cos).
+    """Spheres, sampled by the cone that they fill. Measure: its solid angle over pi r^2.
 
-    From inside: a cosine-weighted direction, measure pi / cos.
+    That is 2 (1 - cos) / r^2 with sin = r / d. From inside a cosine-weighted direction, 1 / (r^2 cos).
     """
 
     def sample(self, which, position, normal, w, u):
@@ -212,7 +218,7 @@ class SphereEmitters(_Points):
         sin_sqr = below * (2 - below)
         half_chord = np.sqrt(np.maximum(radius * radius - square * sin_sqr, 0))
         reach = distance * (1 - below) - half_chord
-        measure = np.float32(2 * np.pi) * one_minus_cos
+        measure = 2 / (square * (2 - one_minus_cos))
         if inside.any():
             lanes = np.flatnonzero(np.broadcast_to(inside, reach.shape))
             r = np.broadcast_to(radius, reach.shape)[lanes]
@@ -220,18 +226,17 @@ class SphereEmitters(_Points):
             along = dot(d, centre[:, lanes])
             direction[:, lanes] = d
             reach[lanes] = along + np.sqrt(np.maximum(r * r - square[lanes] + along * along, 0))
-            measure = measure * np.ones_like(reach)
-            measure[lanes] = out
-            attenuated = self._attenuate(measure, which, direction)
-            attenuated[lanes] = out
-            return direction * reach, attenuated
+            measure = self._attenuate(measure * np.ones_like(reach), which, direction)
+            measure[lanes] = out / np.maximum(np.float32(np.pi) * r * r, np.float32(1e-37))
+            return direction * reach, measure
         return direction * reach, self._attenuate(measure, which, direction)
 
     def irradiance(self, position, normal):
         estimate = super().irradiance(position, normal)
         to_light = self._position[:, :, None] - position[:, None, :]
         inside = dot(to_light, to_light) <= 1.0001 * self._radius[:, None] ** 2
-        return np.where(inside, np.float32(np.pi) * self.brightness, estimate)
+        square = np.maximum(self._radius[:, None] ** 2, np.float32(1e-37))
+        return np.where(inside, self.brightness / square, estimate)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -255,33 +260,33 @@ _SMALL = np.float32(0.3)
 class AreaEmitters(Emitters):
     """Rectangles and ellipses, one-sided. Measure times the spread's grid, where there is one.
 
-    Sampled by area, measure A cos / d^2; a rectangle that is large for the shaded point by its solid
-    angle, which then is the measure: nothing peaks however near it is.
+    Sampled by area, measure cos / d^2; a rectangle that is large for the shaded point by its solid
+    angle, which over its area is the measure: nothing peaks however near it is.
     """
 
     def __init__(self, lights: Sequence[AreaLight], frame: Frame) -> None:
-        radiance = []
         rows = []
         for light in lights:
             axes = light.light_to_world[:3, :3]
             edges = [axes[:, k] * light.size[k] for k in range(2)]
             lengths = [np.linalg.norm(edge) for edge in edges]
             area = lengths[0] * lengths[1] * (np.pi / 4 if light.ellipse else 1)
-            radiance.append(light.power / np.pi / (area if light.normalize else 1))
+            strength = light.power / np.pi * (1 if light.normalize else area) * frame.scale**2
             half = 0.5 * max(light.spread, 2e-3)
             open_grid = light.spread >= np.pi - 1e-5
             tan_half = np.inf if open_grid else np.tan(half)
             # Integral of cos (1 - tan / tan half) over the cone, divided by tan half (Cycles' own).
             normalise = 0 if open_grid else (1 / (tan_half - half) if half > 0.05 else 3 / half**3)
             facing = -axes[:, 2] / np.linalg.norm(axes[:, 2])
-            rows.append((edges, facing, area * frame.scale**2, tan_half, normalise))
-        super().__init__(radiance, [light.casts_shadow for light in lights])
+            rows.append((edges, facing, area * frame.scale**2, tan_half, normalise, strength))
+        size = np.array([row[2] for row in rows])
+        super().__init__(np.array([row[5] for row in rows]), size, [light.casts_shadow for light in lights])
         self._centre = frame.positions([light.light_to_world[:3, 3] for light in lights]).T.copy()
         self._edge_x, self._edge_y = (
             np.array([row[0][k] * frame.scale for row in rows], np.float32).T.copy() for k in range(2)
         )
         self._facing = np.array([row[1] for row in rows], np.float32).T.copy()
-        self._area = np.array([row[2] for row in rows], np.float32)
+        self._area = size.astype(np.float32)
         self._ellipse = np.array([light.ellipse for light in lights])
         self._tan_half = np.array([min(row[3], 1e30) for row in rows], np.float32)
         self._normalise = np.array([row[4] for row in rows], np.float32)
@@ -312,7 +317,7 @@ class AreaEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         cosine_d = np.maximum(-dot(facing, to_light), 0)
         inverse = 1 / np.sqrt(square)
-        measure = _of(self._area, which) * cosine_d * inverse / square
+        measure = cosine_d * inverse / square
         near = np.flatnonzero(dot(centre, centre) < _of(self._large, which))
         if near.size:
             edges = [e if e.shape[1] == 1 else take(e, near) for e in (edge_x, edge_y, facing)]
@@ -320,7 +325,8 @@ class AreaEmitters(Emitters):
             use = np.flatnonzero(solid_angle > 0)
             near = near.take(use)
             to_light[:, near] = take(vector, use)
-            measure[near] = solid_angle.take(use)
+            area = self._area if which is None else self._area.take(which.take(near))
+            measure[near] = solid_angle.take(use) / area
             if self._any_grid:
                 cosine_d[near] = np.maximum(-dot(np.broadcast_to(facing, to_light.shape), to_light), 0)[near]
                 inverse[near] = 1 / np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-30)))[near]
@@ -339,7 +345,7 @@ class AreaEmitters(Emitters):
         height = -dot(self._facing[:, :, None], to_light)
         light = np.clip((height * inverse + 0.5 * size) / (1 + 0.5 * size), 0, 1) * (height > -1e-5 * reach)
         area = self._area[:, None]
-        return self.brightness * area * surface * light / (square + area * np.float32(1 / np.pi))
+        return self.brightness * surface * light / (square + area * np.float32(1 / np.pi))
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -363,20 +369,20 @@ class AreaEmitters(Emitters):
 
 
 class SunEmitters(Emitters):
-    """Suns, sampled by their cone. Measure: its solid angle, or 1 for parallel light."""
+    """Suns, sampled by their cone. Measure: 1."""
 
     at_infinity = True
 
     def __init__(self, lights: Sequence[SunLight]) -> None:
-        radiance = []
-        for light in lights:
-            has_area = light.angle > 0 and light.normalize
-            radiance.append(light.power / (np.pi * np.sin(light.angle / 2) ** 2 if has_area else 1))
-        super().__init__(radiance, [light.casts_shadow for light in lights])
-        self._axis = np.array([-light.direction for light in lights], np.float32).T.copy()
         half = np.array([light.angle / 2 for light in lights])
+        size = 4 * np.pi * np.sin(half / 2) ** 2
+        strength = np.array([light.power for light in lights])
+        for row, light, solid_angle, angle in zip(strength, lights, size, half, strict=True):
+            # Solid angle over pi sin^2, without the quotient of two that vanish.
+            row *= 2 / (1 + np.cos(angle)) if light.normalize else solid_angle if angle > 0 else 1
+        super().__init__(strength, size, [light.casts_shadow for light in lights])
+        self._axis = np.array([-light.direction for light in lights], np.float32).T.copy()
         self._one_minus_cos = (2 * np.sin(half / 2) ** 2).astype(np.float32)
-        self._measure = np.where(half > 0, 2 * np.pi * self._one_minus_cos, 1).astype(np.float32)
         self._sin = np.sin(half).astype(np.float32)
         self._frames = basis(self._axis)
         self._any_size = bool((half > 0).any())
@@ -385,7 +391,7 @@ class SunEmitters(Emitters):
     def sample(self, which, position, normal, w, u):
         m = position.shape[1]
         axis = _of(self._axis, which)
-        measure = np.broadcast_to(_of(self._measure, which), (m,))
+        measure = np.ones(m, np.float32)
         if not self._any_size:
             return np.broadcast_to(axis, (3, m)), measure
         s, t = (_of(f, which) for f in self._frames)
@@ -395,7 +401,7 @@ class SunEmitters(Emitters):
     def irradiance(self, position, normal):
         cosine = dot(self._axis[:, :, None], normal[:, None, :])
         size = self._sin[:, None]
-        return self.brightness * self._measure[:, None] * np.clip((cosine + size) / (1 + size), 0, 1)
+        return self.brightness * np.clip((cosine + size) / (1 + size), 0, 1)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -414,7 +420,7 @@ class WorldEmitter(Emitters):
     at_infinity = True
 
     def __init__(self, world: World) -> None:
-        super().__init__([world.radiance], [True])
+        super().__init__(world.radiance[None], np.ones(1), [True])
 
     def sample(self, which, position, normal, w, u):
         return _cosine_hemisphere(normal, u)
@@ -424,7 +430,7 @@ class WorldEmitter(Emitters):
 
 
 class MeshEmitters(Emitters):
-    """Meshes with an emissive material, by area and from both sides. Measure: A |cos| / d^2.
+    """Meshes with an emissive material, by area and from both sides. Measure: |cos| / d^2.
 
     A light is a cluster of neighbouring triangles of one material; ``w`` chooses among them.
     """
@@ -434,7 +440,6 @@ class MeshEmitters(Emitters):
     def __init__(
         self, radiance: Sequence[np.ndarray], rows: Sequence[np.ndarray], triangles: Triangles
     ) -> None:
-        super().__init__(radiance, [True] * len(rows))
         row = np.concatenate(rows)
         corner, a, b = (triangles.vertices[triangles.indices[row, k]].astype(np.float64) for k in range(3))
         a -= corner
@@ -448,7 +453,7 @@ class MeshEmitters(Emitters):
         self._start = np.concatenate([[0], np.cumsum(counts)])
         light = np.repeat(np.arange(len(rows)), counts)
         area = np.bincount(light, 0.5 * double_area, minlength=len(rows))
-        self._area = area.astype(np.float32)
+        super().__init__(np.asarray(radiance) * area[:, None], area, [True] * len(rows))
         # One ascending table for all lights: light number + share of its area.
         share = np.cumsum(0.5 * double_area) - np.concatenate([[0], np.cumsum(area)])[light]
         self._table = light + np.clip(share / np.maximum(area[light], 1e-300), 0, 1)
@@ -474,7 +479,7 @@ class MeshEmitters(Emitters):
         to_light += b2 * take(self._b, triangle)
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         cosine_d = np.abs(dot(take(self._normal, triangle), to_light))
-        return to_light, _of(self._area, which) * cosine_d / (square * np.sqrt(square))
+        return to_light, cosine_d / (square * np.sqrt(square))
 
     def irradiance(self, position, normal):
         to_light = self._centre[:, :, None] - position[:, None, :]
@@ -483,7 +488,7 @@ class MeshEmitters(Emitters):
         inverse = 1 / np.sqrt(square)
         size = np.minimum(reach * inverse, 1)
         surface = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
-        return self.brightness * self._area[:, None] * surface * 0.5 / (square + reach * reach)
+        return self.brightness * surface * 0.5 / (square + reach * reach)
 
 
 def _spherical_rectangle(
@@ -551,7 +556,7 @@ def _seen(
         cone = getattr(group, "_cone", None)
         if cone is not None and cone.any:
             share = share * cone.attenuation(np.full(len(distance), i), directions.T)
-        total += share * group.radiance[:, i][:, None]
+        total += share * group._radiance[:, i][:, None]
     return total
 
 

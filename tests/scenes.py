@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes that tests share: simple meshes, cameras over a small patch, and a generator of nasty ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from engine_core import (
+    AreaLight,
+    Camera,
+    Film,
+    Light,
+    Material,
+    Mesh,
+    PointLight,
+    Scene,
+    SceneError,
+    Settings,
+    SpotLight,
+    SunLight,
+    World,
+    render,
+)
+
+WHITE = Material(1.0)
+
+# A patch of the floor that lies on no edge of it.
+PATCH = np.array([0.13, 0.07, 0.0])
+
+
+def place(position: Any = (0, 0, 0), rotation: Any = (0, 0, 0), scale: Any = 1.0) -> np.ndarray:
+    """(4, 4) matrix: scale, then rotation about X, Y, Z (radians), then translation."""
+    x, y, z = rotation
+    cx, sx, cy, sy, cz, sz = np.cos(x), np.sin(x), np.cos(y), np.sin(y), np.cos(z), np.sin(z)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = about_z @ about_y @ about_x * np.broadcast_to(scale, 3)
+    matrix[:3, 3] = position
+    return matrix
+
+
+def floor(half: float = 5.0, z: float = 0.0, **fields: Any) -> Mesh:
+    """A square of two triangles in the plane z, facing up."""
+    corners = [[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]]
+    return Mesh(corners, [[0, 1, 2], [0, 2, 3]], name="Floor", **fields)
+
+
+def box(low: Any = (-1, -1, -1), high: Any = (1, 1, 1), shared: bool = True, **fields: Any) -> Mesh:
+    """A closed box of 12 triangles that face outwards; ``shared``: of 8 vertices, else of 36."""
+    unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    vertices = np.asarray(low) + unit * (np.asarray(high, float) - low)
+    triangles = []
+    for axis in range(3):
+        for side in (0, 1):
+            face = [i for i in range(8) if unit[i, axis] == side]
+            a, b, c, d = face[0], face[1], face[3], face[2]
+            normal = np.cross(unit[b] - unit[a], unit[c] - unit[a])[axis]
+            if (normal > 0) != (side == 1):
+                a, b, c, d = a, d, c, b
+            triangles += [[a, b, c], [a, c, d]]
+    triangles = np.array(triangles)
+    if not shared:
+        vertices, triangles = vertices[triangles.ravel()], np.arange(36).reshape(12, 3)
+    return Mesh(vertices, triangles, name="Box", **fields)
+
+
+def sphere(
+    centre: Any = (0, 0, 0),
+    radius: float = 1.0,
+    smooth: bool = False,
+    segments: int = 24,
+    grid: float = 0.0,
+    **fields: Any,
+) -> Mesh:
+    """A closed convex sphere of latitudes and longitudes; ``grid`` snaps its vertices to multiples of it."""
+    rings = segments // 2
+    theta = np.pi * np.arange(1, rings)[:, None] / rings
+    phi = 2 * np.pi * np.arange(segments) / segments
+    x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
+    ring = np.stack(np.broadcast_arrays(x, y, np.cos(theta)), axis=-1)
+    unit = np.concatenate([[[0, 0, 1]], ring.reshape(-1, 3), [[0, 0, -1]]])
+    here = 1 + np.arange(rings - 1)[:, None] * segments + np.arange(segments)
+    there = 1 + np.arange(rings - 1)[:, None] * segments + (np.arange(segments) + 1) % segments
+    last = len(unit) - 1
+    top = np.stack([np.zeros(segments, int), here[0], there[0]], -1)
+    bottom = np.stack([np.full(segments, last), there[-1], here[-1]], -1)
+    upper = np.stack([here[:-1], here[1:], there[1:]], -1).reshape(-1, 3)
+    lower = np.stack([here[:-1], there[1:], there[:-1]], -1).reshape(-1, 3)
+    triangles = np.concatenate([top, upper, lower, bottom])
+    vertices = np.asarray(centre) + radius * unit
+    if grid:
+        vertices = np.round(vertices / grid) * grid
+    return Mesh(vertices, triangles, unit[triangles] if smooth else None, name="Sphere", **fields)
+
+
+def patch_camera(size: float = 1e-3, pixels: int = 16, at: Any = PATCH) -> Camera:
+    """An orthographic camera straight above a patch so small that irradiance is constant on it."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = np.asarray(at) + (0, 0, 1 / 64)
+    half = size / 2
+    return Camera(matrix, (-half, half, -half, half), pixels, pixels, projection="orthographic")
+
+
+def lit_patch(*lights: Light, world: Any = 0.0, meshes: Any = (), materials: Any = (WHITE,)) -> Scene:
+    """White floor, seen where `PATCH` lies: radiance times pi is the irradiance there."""
+    return Scene(patch_camera(), (floor(), *meshes), materials, lights, World(world, visible_to_camera=False))
+
+
+def studio(width: int = 48, height: int = 32, lights: Any = (), **fields: Any) -> Scene:
+    """A smooth sphere and a box on a floor."""
+    camera = fields.pop("camera", None) or Camera.look_at((0, -6, 3), (0, 0, 0.7), width, height)
+    ball = sphere((-0.8, 0, 0.8), 0.8, smooth=True, materials=1)
+    meshes = (floor(), ball, box((0.5, -0.5, 0), (1.5, 0.5, 1.2)))
+    return Scene(camera, meshes, (Material((0.8, 0.7, 0.6)), Material((0.2, 0.5, 0.8))), lights, **fields)
+
+
+def area_light(power: Any = 100.0, position: Any = (1.5, -1.5, 4.0), **fields: Any) -> AreaLight:
+    """An area light of edge 2 above the studio, tilted towards it."""
+    fields = {"size": (2.0, 2.0)} | fields
+    return AreaLight(power, light_to_world=place(position, (0.35, 0.35, 0)), name="Area", **fields)
+
+
+def mixed_lights(count: int, seed: int = 7, power: float = 150.0) -> list[Light]:
+    """Points, spheres, disks, spots, areas and suns in turn, above the studio."""
+    random = np.random.default_rng(seed)
+    lights: list[Light] = []
+    for i in range(count):
+        position = random.uniform((-4, -4, 2.5), (4, 4, 5))
+        colour = random.uniform(0.2, 1, 3) * power / count
+        down = place(position, random.uniform(-0.5, 0.5, 3))
+        lights.append(
+            (
+                lambda p, c, m: PointLight(c, position=p),
+                lambda p, c, m: PointLight(c, position=p, radius=0.4),
+                lambda p, c, m: PointLight(c, position=p, radius=0.4, sphere=False),
+                lambda p, c, m: SpotLight(c, light_to_world=m, radius=0.2, angle=1.2, blend=0.3),
+                lambda p, c, m: AreaLight(c, light_to_world=m, size=(1.0, 0.5)),
+                lambda p, c, m: SunLight(c / 100, direction=-p, angle=0.1),
+            )[i % 6](position, colour, down)
+        )
+    return lights
+
+
+def pictures(scene: Scene, seeds: int, settings: Settings | None = None, **choices: Any) -> np.ndarray:
+    """(seeds, H, W, 3) float64: renders that differ by their seed alone."""
+    base = replace(settings or Settings(), threads=1, **choices)
+    films = (render(scene, replace(base, seed=1000 + i)) for i in range(seeds))
+    return np.stack([film.combined[..., :3] for film in films]).astype(np.float64)
+
+
+def assert_mean(samples: np.ndarray, truth: Any, sigmas: float = 4.0, rounding: float = 2e-5) -> None:
+    """The mean of independent estimates (S, ...) is the truth, by their own standard error.
+
+    rounding : relative error of float32 arithmetic, which no number of samples takes away.
+    """
+    mean = samples.mean(axis=0)
+    error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples))
+    excess = np.abs(mean - truth) - sigmas * error - rounding * np.abs(truth)
+    worst = np.unravel_index(np.argmax(excess), excess.shape)
+    wanted = np.broadcast_to(truth, mean.shape)
+    assert excess[worst] <= 0, f"at {worst}: {mean[worst]} +- {error[worst]}, wanted {wanted[worst]}"
+
+
+def assert_picture_is_sound(film: Film) -> None:
+    """No NaN, no Inf, no negative radiance, alpha within [0, 1]."""
+    assert np.isfinite(film.combined).all()
+    assert (film.combined >= 0).all()
+    assert (film.combined[..., 3] <= 1).all()
+    assert np.isfinite(film.depth).all()
+    assert np.isfinite(film.normal).all()
+
+
+def blocks(picture: np.ndarray, edge: int = 16) -> np.ndarray:
+    """Means over squares of ``edge`` pixels of pictures (..., H, W, C)."""
+    *rest, height, width, channels = picture.shape
+    parted = picture.reshape(*rest, height // edge, edge, width // edge, edge, channels)
+    return parted.mean(axis=(-4, -2))
+
+
+# -- nasty scenes --------------------------------------------------------------------------------------
+
+
+def nasty_scene(seed: int) -> tuple[Scene, Settings]:
+    """A scene that nobody would make on purpose. SceneErrors of its parts are part of the contract."""
+    random = np.random.default_rng(seed)
+    scale = 10.0 ** random.uniform(-6, 6)
+    maker = _Nasty(random, scale)
+    scene = Scene(
+        maker.camera(),
+        [maker.mesh() for _ in range(random.integers(0, 9))],
+        [maker.material() for _ in range(3)],
+        [light for _ in range(random.integers(0, 6)) if (light := maker.light()) is not None],
+        World(random.choice([0.0, 1.0, 1e-30, 1e20, -1.0]), bool(random.integers(2))),
+    )
+    settings = Settings(
+        samples=int(random.choice([1, 3, 8])),
+        light_samples=int(random.choice([0, 1, 3])),
+        integrator=str(random.choice(["sobol", "monte_carlo"])),
+        seed=seed,
+        noise_threshold=float(random.choice([0, 0.1])),
+        min_samples=2,
+        threads=1,
+        transparent=bool(random.integers(2)),
+        normals=bool(random.integers(2)),
+        batch_size=int(random.choice([64, 1000, 16384])),
+    )
+    return scene, settings
+
+
+class _Nasty:
+    """Extreme parts at one scale, drawn from one generator."""
+
+    def __init__(self, random: np.random.Generator, scale: float) -> None:
+        self.random = random
+        self.scale = scale
+        self.eye = random.normal(size=3) * 3 * scale
+
+    def chance(self, probability: float) -> bool:
+        return bool(self.random.random() < probability)
+
+    def pick(self, *values: Any) -> Any:
+        return values[self.random.integers(len(values))]
+
+    def camera(self) -> Camera:
+        # Pictures of one pixel, of one row, and ordinary small ones; some of a part of the frame.
+        width, height = self.pick((1, 1), (1, 300), (300, 1), (16, 16), (17, 15))
+        region = None
+        if self.chance(0.2):
+            x, y = self.random.integers(width), self.random.integers(height)
+            region = (x, y, self.random.integers(x, width) + 1, self.random.integers(y, height) + 1)
+        view = Camera.look_at(self.eye, self.random.normal(size=3) * 0.3 * self.scale, 1, 1)
+        if self.chance(0.3):
+            half = self.pick(1e-9, 1.0, 1.0, 3.0, 3.0, 1e6) * self.scale
+            span = self.scale * 10
+            clip = self.pick((0.0, np.inf), (0.0, np.inf), (-span, span), (span, span))
+            return Camera(
+                view.camera_to_world,
+                (-half, half, -half, half),
+                width,
+                height,
+                region,
+                "orthographic",
+                *clip,
+            )
+        half = self.pick(1e-9, 1e-3, 0.3, 0.3, 0.3, 1.0, 1e4)
+        clip = self.pick((0.0, np.inf), (0.1, 100.0), (0.01, np.inf), (1e-3, 1e-3), (2.0, 6.0), (0.0, 1e30))
+        return Camera(
+            view.camera_to_world,
+            (-half, half, half, -half) if self.chance(0.1) else (-half, half, -half, half),
+            width,
+            height,
+            region,
+            clip_start=clip[0] * self.scale,
+            clip_end=clip[1] * self.scale,
+        )
+
+    def mesh(self) -> Mesh:
+        vertices, triangles, normals = self._shape()
+        vertices = np.array(vertices, np.float64).reshape(-1, 3) * self.scale
+        triangles = np.array(triangles, np.int64).reshape(-1, 3)
+        vertices += self.pick(0, 0, 0, self.random.normal(size=3) * self.scale, self.eye)
+        if len(vertices) and self.chance(0.25):
+            where = self.random.integers(len(vertices))
+            vertices[where, self.random.integers(3)] = self.pick(np.nan, np.inf, -np.inf, 1e30, 3e38, 1e-45)
+        if normals is not None and len(normals) and self.chance(0.3):
+            normals = np.array(normals)
+            normals[self.random.integers(len(normals))] = self.pick(np.nan, 0.0, np.inf, 1e-30, -1.0)
+        with np.errstate(over="ignore"):
+            return Mesh(
+                vertices.astype(np.float32),
+                triangles,
+                normals,
+                self.pick(0, 1, self.random.integers(0, 3, len(triangles))),
+                visible_to_camera=not self.chance(0.1),
+                casts_shadow=not self.chance(0.15),
+                holdout=self.chance(0.15),
+                terminator_offset=self.pick(0.0, 0.1, 1.0),
+            )
+
+    def _shape(self) -> tuple[Any, Any, Any]:
+        kind = self.random.integers(8)
+        if kind == 0:  # nothing, or vertices without a triangle
+            return self.random.normal(size=(self.pick(0, 5), 3)), [], None
+        if kind == 1:  # zero area: a point, a line, a repeated vertex
+            return [[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 0, 0], [0, 1, 2], [0, 1, 1]], None
+        if kind == 2:  # needles
+            vertices = self.random.normal(size=(30, 3)) * (1, 1e-7, 1e-7)
+            return vertices, np.arange(30).reshape(10, 3), None
+        if kind == 3:  # one triangle as large as the world
+            return self.random.normal(size=(3, 3)) * 1e6, [[0, 1, 2]], None
+        if kind == 4:  # a soup with custom normals that have nothing to do with it
+            normals = self.random.normal(size=(20, 3, 3))
+            return self.random.normal(size=(60, 3)), np.arange(60).reshape(20, 3), normals
+        if kind == 5:
+            mesh = box(shared=self.chance(0.5))
+        elif kind == 6:
+            mesh = floor(self.pick(1.0, 1e5))
+        else:
+            mesh = sphere(radius=self.pick(1e-6, 1.0, 10.0), smooth=self.chance(0.7), segments=8)
+        return mesh.vertices, mesh.triangles, mesh.normals
+
+    def material(self) -> Material:
+        return Material(
+            self.pick(0.8, 0.0, 1.0, 1e10, (1.0, 0.0, 0.5)),
+            self.pick(0.0, 0.0, 1.0, 1e-30, 1e20, (0.0, 5.0, -1.0)),
+        )
+
+    def light(self) -> Light | None:
+        power = self.pick(100.0, (1.0, 0.1, 0.0), 0.0, -5.0, (1.0, -1.0, 1.0), 1e-30, 1e10, 1e30)
+        power = np.asarray(power) * self.scale**2
+        position = self.pick(
+            self.eye, np.zeros(3), self.random.normal(size=3) * self.scale, np.full(3, 1e9) * self.scale
+        )
+        common = {
+            "normalize": self.chance(0.7),
+            "casts_shadow": not self.chance(0.2),
+            "visible_to_camera": self.chance(0.5),
+        }
+        size = self.pick(0.0, 1e-30, 1e-6, 0.3, 1.0, 5.0, 1e9) * self.scale
+        matrix = self._matrix(position)
+        sphere_light = self.chance(0.5)
+        kind = self.random.integers(4)
+        try:
+            if kind == 0:
+                return PointLight(power, position=position, radius=size, sphere=sphere_light, **common)
+            if kind == 1:
+                return SpotLight(
+                    power,
+                    light_to_world=matrix,
+                    radius=size,
+                    sphere=sphere_light,
+                    angle=self.pick(0.0, 1e-3, 0.8, np.pi),
+                    blend=self.pick(0.0, 0.15, 1.0),
+                    **common,
+                )
+            if kind == 2:
+                return AreaLight(
+                    power,
+                    light_to_world=matrix,
+                    size=(size, self.pick(size, self.scale, 0.0)),
+                    ellipse=self.chance(0.5),
+                    spread=self.pick(np.pi, 0.0, 1e-3, 1.0),
+                    **common,
+                )
+            return SunLight(
+                self.pick(1.0, 1e30, 1e-30),
+                direction=self.random.normal(size=3),
+                angle=self.pick(0.0, 1e-30, 1e-20, 1e-6, 0.01, np.pi),
+                **common,
+            )
+        except SceneError:
+            return None
+
+    def _matrix(self, position: np.ndarray) -> np.ndarray:
+        scale = self.pick(1.0, -1.0, (1, 1, 0), (1, 0, 1), 0.0, (1e-12, 1, 1), 1e-9, 1e9, (2, 0.5, -1))
+        return place(position, self.random.normal(size=3), scale)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Instances: one mesh at many places becomes triangles in one array operation, its memory foreseen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...engine_core import Mesh, RenderError
+from .. import memory
+from .mesh import MeshData
+
+CHUNK = 1 << 20
+"""Vertices placed at a time: bounds what float64 needs beside the result."""
+
+TRACED_TRIANGLE_BYTES = 250
+"""What a triangle takes beside the exported arrays: the ray tracer's copy and tree, the engine's tables."""
+
+
+class Looks(NamedTuple):
+    """What decides how a mesh is seen: fields of `engine_core.Mesh`."""
+
+    visible_to_camera: bool
+    casts_shadow: bool
+    holdout: bool
+    terminator_offset: float
+
+
+@dataclass
+class Placed:
+    """A mesh, how it is seen, and all the places where it stands.
+
+    name : of the first object that has it.
+    slots : (S,) int32, the scene's number of the material in each of the object's slots.
+    matrices : a (4, 4) object-to-world matrix for each instance.
+    """
+
+    name: str
+    mesh: MeshData
+    looks: Looks
+    slots: np.ndarray
+    matrices: list[Any] = field(default_factory=list)
+
+    def bytes_needed(self) -> int:
+        mesh, each = self.mesh, self.mesh.vertices.nbytes + self.mesh.triangles.nbytes
+        each += len(mesh.triangles) * (TRACED_TRIANGLE_BYTES + 4 * np.ndim(mesh.slots))
+        if mesh.normals is not None:
+            each += mesh.normals.nbytes + 3 * mesh.triangles.nbytes
+        return each * len(self.matrices)
+
+    def placed(self, origin: np.ndarray) -> Mesh:
+        """All instances as one mesh of the engine, its positions less ``origin`` ((3,) float64)."""
+        matrices = np.array(self.matrices, np.float64).reshape(-1, 4, 4)
+        matrices[:, :3, 3] -= origin
+        count, mesh = len(matrices), self.mesh
+        mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
+        triangles = _repeated(mesh.triangles, count, len(mesh.vertices), mirrored)
+        normals = None
+        if mesh.normals is not None:
+            table = _unit(_transformed(mesh.normals, _normal_matrices(matrices)))
+            normals = table.take(_repeated(mesh.normal_indices, count, len(mesh.normals), mirrored), axis=0)
+        # An index beyond the slots means the last one, as in Cycles.
+        materials = self.slots[np.clip(mesh.slots, 0, len(self.slots) - 1)]
+        return Mesh(
+            vertices=_transformed(mesh.vertices, matrices[:, :3]),
+            triangles=triangles,
+            normals=normals,
+            materials=np.tile(materials, count) if materials.ndim else materials,
+            name=self.name,
+            **self.looks._asdict(),
+        )
+
+
+def check_memory(groups: Sequence[Placed]) -> None:
+    """Refuse to start what would not end well; the error names the object that takes most."""
+    needed, available = sum(group.bytes_needed() for group in groups), memory.available()
+    if needed <= available:
+        return
+    largest = max(groups, key=Placed.bytes_needed)
+    count, triangles = len(largest.matrices), len(largest.mesh.triangles)
+    raise RenderError(
+        f"The triangles need {needed / 2**30:.1f} GiB of memory, {available / 2**30:.1f} GiB are free. "
+        f'Most goes to object "{largest.name}" ({count:,} times {triangles:,} triangles): '
+        "use fewer instances or a simpler mesh (Decimate modifier, or Simplify in Render properties)"
+    )
+
+
+def _transformed(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """(I * V, 3) float32: every one of (V, 3) ``points`` through every one of (I, 3, 3 or 4) ``matrices``."""
+    points = np.asarray(points, np.float64)
+    if matrices.shape[2] == 4:
+        points = np.column_stack([points, np.ones(len(points))])
+    result = np.empty((len(matrices), len(points), 3), np.float32)
+    step = max(1, CHUNK // len(points))
+    for start in range(0, len(matrices), step):
+        part = matrices[start : start + step]
+        products = part.reshape(-1, part.shape[2]) @ points.T
+        result[start : start + step] = products.reshape(len(part), 3, -1).transpose(0, 2, 1)
+    return result.reshape(-1, 3)
+
+
+def _normal_matrices(matrices: np.ndarray) -> np.ndarray:
+    """(I, 3, 3) inverse transposes, but for a positive factor: cofactors exist for singular matrices too."""
+    x, y, z = (matrices[:, :3, k] for k in range(3))
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
+    return cofactors * np.where(np.linalg.det(matrices[:, :3, :3]) < 0, -1.0, 1.0)[:, None, None]
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+    normals /= np.where(lengths > 0, lengths, np.float32(1))[:, None]
+    return normals
+
+
+def _repeated(indices: np.ndarray, count: int, step: int, mirrored: np.ndarray) -> np.ndarray:
+    """(I * T, 3) int32: ``indices`` of each instance, moved on by ``step``, turned round if mirrored."""
+    offsets = step * np.arange(count, dtype=np.int32)
+    result = indices[None] + offsets[:, None, None]
+    result[mirrored] = result[mirrored][:, :, ::-1]
+    return result.reshape(-1, 3)

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Render passes: which there are, and how the film's arrays get into them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..engine_core import Film
+
+COMBINED = ("Combined", 4, "RGBA", "COLOR")
+DEPTH = ("Depth", 1, "Z", "VALUE")
+NORMAL = ("Normal", 3, "XYZ", "VECTOR")
+
+
+def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
+    """Tell Blender which passes a view layer gets, under the names that Cycles uses."""
+    engine.register_pass(scene, view_layer, *COMBINED)
+    if view_layer.use_pass_z:
+        engine.register_pass(scene, view_layer, *DEPTH)
+    if view_layer.use_pass_normal:
+        engine.register_pass(scene, view_layer, *NORMAL)
+
+
+def write(engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
+    """Pixels [y0:y1, x0:x1] of the film into Blender's result of a layer; row 0 is the bottom in both."""
+    arrays = {"Combined": film.combined, "Depth": film.depth, "Normal": film.normal}
+    result = engine.begin_result(x0, y0, x1 - x0, y1 - y0, layer=layer, view=view)
+    try:
+        for render_pass in result.layers[0].passes:
+            array = arrays.get(render_pass.name)
+            if array is not None:
+                pixels = np.ascontiguousarray(array[y0:y1, x0:x1], np.float32)
+                render_pass.rect.foreach_set(pixels.ravel())
+    finally:
+        engine.end_result(result)

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of a scene, at ``scene.cv_render``."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+from ..engine_core import Settings
+from ..engine_core.settings import MAX_SAMPLES
+
+DEFAULTS = Settings()
+
+INTEGRATORS = (
+    (
+        "sobol",
+        "Sobol",
+        "Owen-scrambled Sobol points: the least noise for a number of samples; best with a power of two",
+    ),
+    (
+        "monte_carlo",
+        "Monte Carlo",
+        "Independent random points: much noisier, a baseline to compare with",
+    ),
+)
+
+
+TILE_SIZES = (
+    ("0", "Automatic", "By the size of the picture"),
+    *((str(n), f"{n} px", f"{n} by {n} pixels") for n in (64, 128, 256, 512)),
+)
+
+
+class CVRenderSceneSettings(bpy.types.PropertyGroup):
+    """How CV Render renders a scene."""
+
+    samples: IntProperty(
+        name="Samples",
+        description="Camera rays for each pixel. Twice as many take twice as long and leave about half the "
+        "noise; powers of two serve the Sobol integrator best",
+        default=DEFAULTS.samples,
+        min=1,
+        max=MAX_SAMPLES,
+        soft_max=4096,
+    )
+    viewport_samples: IntProperty(
+        name="Viewport Samples",
+        description="Camera rays for each pixel in a rendered viewport",
+        default=16,
+        min=1,
+        max=MAX_SAMPLES,
+        soft_max=1024,
+    )
+    light_samples: IntProperty(
+        name="Light Samples",
+        description="Shadow rays for each camera ray; 0 lets the lights decide. "
+        "More make soft shadows and many lights cleaner, each for a third of the cost of a camera ray",
+        default=DEFAULTS.light_samples,
+        min=0,
+        max=1024,
+        soft_max=16,
+    )
+    integrator: EnumProperty(
+        name="Integrator",
+        description="How the light is integrated over pixels and lights",
+        items=INTEGRATORS,
+        default=DEFAULTS.integrator,
+    )
+    seed: IntProperty(
+        name="Seed",
+        description="Another seed gives another pattern of noise, the same one the same picture, bit for bit",
+        default=DEFAULTS.seed,
+        min=0,
+        max=2**31 - 1,
+    )
+    use_animated_seed: BoolProperty(
+        name="Animate Seed",
+        description="Change the pattern of noise from frame to frame. If off, it stands still",
+        default=False,
+    )
+    noise_threshold: FloatProperty(
+        name="Noise Threshold",
+        description="Stop sampling a block of pixels when its estimated error, relative to the square root "
+        "of its brightness, falls below this; 0 takes all samples everywhere. Lower is cleaner and slower",
+        default=DEFAULTS.noise_threshold,
+        min=0.0,
+        soft_max=0.1,
+        max=1.0,
+        precision=4,
+        step=0.1,
+    )
+    min_samples: IntProperty(
+        name="Min Samples",
+        description="Samples that every pixel gets before the noise threshold may stop it. "
+        "Too few may miss what is small or rarely lit",
+        default=DEFAULTS.min_samples,
+        min=1,
+        max=MAX_SAMPLES,
+        soft_max=1024,
+    )
+    time_limit: FloatProperty(
+        name="Time Limit",
+        description="Seconds after which no further pass over the picture begins; 0 is no limit",
+        default=DEFAULTS.time_limit,
+        min=0.0,
+        soft_max=3600.0,
+        step=100,
+        precision=1,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )
+    tile_size: EnumProperty(
+        name="Tile Size",
+        description="Edge of the squares that threads work on, in pixels. Small ones share out the work "
+        "better, large ones cost less bookkeeping",
+        items=TILE_SIZES,
+        default=str(DEFAULTS.tile_size),
+    )
+
+
+def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Settings:
+    """The engine's settings for the final render of a view layer."""
+    chosen, render = scene.cv_render, scene.render
+    return Settings(
+        samples=view_layer.samples or chosen.samples,
+        light_samples=chosen.light_samples,
+        integrator=chosen.integrator,
+        seed=chosen.seed + (scene.frame_current if chosen.use_animated_seed else 0),
+        noise_threshold=chosen.noise_threshold,
+        min_samples=chosen.min_samples,
+        time_limit=chosen.time_limit,
+        threads=render.threads if render.threads_mode == "FIXED" else 0,
+        transparent=render.film_transparent,
+        normals=view_layer.use_pass_normal,
+        tile_size=int(chosen.tile_size),
+    )
+
+
+def register() -> None:
+    bpy.utils.register_class(CVRenderSceneSettings)
+    bpy.types.Scene.cv_render = PointerProperty(type=CVRenderSceneSettings, name="CV Render")
+
+
+def unregister() -> None:
+    del bpy.types.Scene.cv_render
+    bpy.utils.unregister_class(CVRenderSceneSettings)

@@ -43,9 +43,6 @@ class Scene:
         for mesh in self.meshes:
             used = np.asarray(mesh.materials)
             if used.size and not (used.min() >= 0 and used.max() < len(self.materials)):
-                raise fail(
-                    mesh,
-                    "materials",
-                    f"has indices {used.min()} to {used.max()}, the scene has {len(self.materials)} materials",
-                )
+                asked = f"has indices {used.min()} to {used.max()}"
+                raise fail(mesh, "materials", f"{asked}, the scene has {len(self.materials)} materials")
         set_array(self, "origin", (3,))

@@ -18,9 +18,12 @@ from .integration.sample_mean import sum_samples
 from .scene import Camera, Scene
 from .settings import Settings
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
-from .transport.light_choice import BLOCK, LightChoice
+from .transport.light_choice import CELL, LightChoice
 
 POLL_SECONDS = 0.05
+
+BLOCK = 16
+"""Edge in pixels of the blocks that the noise threshold stops."""
 
 # Light choices of all tiles are kept between passes while they are no more numbers than this.
 _KEPT_CHOICES = 1 << 25
@@ -51,26 +54,29 @@ class _Tile:
     choice: LightChoice | None = None
 
     def pixels(self) -> Pixels:
-        """All pixels, block after block."""
+        """All pixels, cell after cell."""
         x, y = np.meshgrid(
             np.arange(self.x0, self.x1, dtype=np.int32), np.arange(self.y0, self.y1, dtype=np.int32)
         )
         x, y = x.ravel(), y.ravel()
-        block = self._block(x, y)
-        order = np.argsort(block, kind="stable")
-        return Pixels(x[order], y[order], block[order])
+        columns = len(self._span(self.x0, self.x1, CELL))
+        cell = (y // CELL - self.y0 // CELL) * columns + (x // CELL - self.x0 // CELL)
+        order = np.argsort(cell, kind="stable")
+        return Pixels(x[order], y[order], cell[order])
 
-    def _block(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        columns = (self.x1 - 1) // BLOCK - self.x0 // BLOCK + 1
-        return (y // BLOCK - self.y0 // BLOCK) * columns + (x // BLOCK - self.x0 // BLOCK)
-
-    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and rows of its blocks in the whole frame, in the order of `Pixels.block`."""
-        x, y = np.meshgrid(
-            np.arange(self.x0 // BLOCK, (self.x1 - 1) // BLOCK + 1),
-            np.arange(self.y0 // BLOCK, (self.y1 - 1) // BLOCK + 1),
-        )
+    def cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows of its cells in the whole frame, in the order of `Pixels.cell`."""
+        x, y = np.meshgrid(self._span(self.x0, self.x1, CELL), self._span(self.y0, self.y1, CELL))
         return x.ravel(), y.ravel()
+
+    def blocks(self) -> tuple[slice, slice]:
+        """Rows and columns of its blocks in the whole frame."""
+        rows, columns = self._span(self.y0, self.y1, BLOCK), self._span(self.x0, self.x1, BLOCK)
+        return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+    @staticmethod
+    def _span(low: int, high: int, edge: int) -> np.ndarray:
+        return np.arange(low // edge, (high - 1) // edge + 1)
 
 
 class _Cancelled(Exception):
@@ -105,7 +111,7 @@ class _Render:
         self._integrand = DirectLight(scene, settings.transparent, settings.normals)
         self._film = Film.empty(*scene.camera.region_size)
         self._film.messages += self._integrand.messages
-        self._split = settings.light_samples or _light_samples(self._integrand.lights)
+        self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
         self._points = staged_points(
             settings.integrator,
             self._integrand.screen_dimensions,
@@ -117,8 +123,8 @@ class _Render:
         self._tiles = _tiles(scene.camera, settings.tile_size or _tile_size(scene.camera, self._threads))
         x0, y0, x1, y1 = scene.camera.region
         self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
-        blocks = sum(len(tile.blocks()[0]) for tile in self._tiles)
-        self._keep_choices = blocks * self._integrand.lights <= _KEPT_CHOICES
+        cells = sum(len(tile.cells()[0]) for tile in self._tiles)
+        self._keep_choices = cells * len(self._integrand.lights) <= _KEPT_CHOICES
         self._stop = Event()
         self._done = 0
         self._counts = {"camera rays": 0, "shadow rays": 0, "non-finite samples": 0}
@@ -141,7 +147,7 @@ class _Render:
         settings = self._settings
         done = 0
         while done < settings.samples:
-            tiles = [tile for tile in self._tiles if self._active_blocks(tile).any()]
+            tiles = [tile for tile in self._tiles if self._active[tile.blocks()].any()]
             if not tiles:
                 return "noise"
             count = min(max(done, 1), settings.samples - done)
@@ -205,24 +211,16 @@ class _Render:
 
     # -- in the workers ----------------------------------------------------------------------------
 
-    def _active_blocks(self, tile: _Tile) -> np.ndarray:
-        x, y = tile.blocks()
-        return self._active[y, x]
-
     def _render_tile(self, tile: _Tile, start: int, count: int) -> None:
         """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
         if self._stop.is_set():
             raise _Cancelled
         pixels = tile.pixels()
-        active = self._active_blocks(tile)
-        if not active.all():
-            pixels = pixels[active[pixels.block]]
-        if self._integrand.lights > 1:
-            choice = tile.choice or self._integrand.choice_of_blocks(*tile.blocks())
-            if self._keep_choices:
-                tile.choice = choice
-        else:
-            choice = None
+        if not self._active[tile.blocks()].all():
+            pixels = pixels[self._active[pixels.y // BLOCK, pixels.x // BLOCK]]
+        choice = tile.choice or self._integrand.choice_of_cells(*tile.cells())
+        if self._keep_choices:
+            tile.choice = choice
         integrand = DirectLightOverTile(self._integrand, choice)
         column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
         film = self._film
@@ -249,7 +247,7 @@ class _Render:
         mean = np.minimum(sums.values / count, LARGEST).astype(np.float32)
         before = film.combined[row, column].T
         if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
-            self._retire_blocks(tile, pixels, before[:3], mean[:3])
+            self._retire_blocks(pixels, before[:3], mean[:3])
         share = np.float32(count / (start + count))
         film.combined[row, column] = (before + (mean[:4] - before) * share).T
         if self._settings.normals:
@@ -260,23 +258,22 @@ class _Render:
         self._counts["shadow rays"] += integrand.shadow_rays
         self._counts["non-finite samples"] += integrand.non_finite
 
-    def _retire_blocks(self, tile: _Tile, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
+    def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
         """Stop blocks whose error is small enough, judged by two halves (3, B) of their samples.
 
         The difference of two independent halves has twice the standard deviation of their mean; for
         Sobol points it overestimates the error. The halves enter the picture too: docs/sampling.md
         states the bias of that.
         """
-        starts = np.flatnonzero(np.diff(pixels.block, prepend=-1))
-        counts = np.diff(np.append(starts, len(pixels)))
+        block = (pixels.y // BLOCK) * self._active.shape[1] + pixels.x // BLOCK
+        block, place = np.unique(block, return_inverse=True)
+        counts = np.bincount(place)
         error = 0.5 * np.abs(first - second).mean(axis=0, dtype=np.float64)
         brightness = np.abs(0.5 * (first + second)).mean(axis=0, dtype=np.float64)
-        error = np.sqrt(np.add.reduceat(error * error, starts) / counts)
-        brightness = np.add.reduceat(brightness, starts) / counts
+        error = np.sqrt(np.bincount(place, error * error) / counts)
+        brightness = np.bincount(place, brightness) / counts
         quiet = error <= self._settings.noise_threshold * np.sqrt(brightness)
-        x, y = tile.blocks()
-        rows = pixels.block[starts[quiet]]
-        self._active[y[rows], x[rows]] = False
+        self._active.reshape(-1)[block[quiet]] = False
 
     def _report(self) -> None:
         end = time.perf_counter()
@@ -288,7 +285,7 @@ class _Render:
             )
         film.statistics = {
             **self._counts,
-            "lights": self._integrand.lights,
+            "lights": len(self._integrand.lights),
             "threads": self._threads,
             "seconds building": self._built - self._begin,
             "seconds rendering": end - self._built,

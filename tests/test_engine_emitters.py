@@ -16,7 +16,7 @@ from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight,
 from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.transport.emitters import Emitters, emitter_groups
-from engine_core.transport.light_choice import LightChoice
+from engine_core.transport.light_choice import WEIGHED, CandidateLights, Lights, WeighedLights
 
 SAMPLES = 200_000
 ROWS, COLUMNS, FINE = 20, 40, 24
@@ -291,24 +291,37 @@ def test_all_clusters_of_a_mesh_together_are_the_mesh():
     assert total == pytest.approx(truth, abs=4 * variance**0.5, rel=1e-3)
 
 
-def test_light_choice_is_proportional_to_its_pdf():
+@pytest.mark.parametrize("count", [2, 30, 64, 200])
+def test_lights_are_chosen_as_often_as_they_say(count: int):
     random = np.random.default_rng(2)
-    pdf = random.random((3, 200)) ** 6
-    pdf /= pdf.sum(axis=1, keepdims=True)
-    choice = LightChoice(pdf)
-    block = np.repeat(np.arange(3), SAMPLES)
-    light, probability, stretched = choice.choose(block, random.random((3 * SAMPLES, 1), np.float32))
-    assert np.allclose(probability, pdf[block, light], rtol=1e-5)
+    lamps = [PointLight(random.random() ** 6, position=random.uniform(-3, 3, 3)) for _ in range(count)]
+    triangles, _ = gather_triangles([], FRAME)
+    groups, _ = emitter_groups(lamps, World(), [Material()], triangles, FRAME)
+    lights = Lights(groups)
+    position = random.uniform(-3, 3, (3, 3)).astype(np.float32)
+    normal = np.eye(3, dtype=np.float32)
+    if count > WEIGHED:
+        choice = CandidateLights(lights, random.random((2, count)).astype(np.float32) ** 8)
+    else:
+        choice = WeighedLights(lights)
+    # Three points, the last two in the second cell.
+    light, pdf, w = choice.choose(
+        position, normal, np.array([0, 1, 1]), random.random((3, SAMPLES), np.float32)
+    )
+    assert (w >= 0).all() and (w < 1).all()
     for row in range(3):
-        counts = np.bincount(light[block == row], minlength=200)
-        expected = pdf[row] * SAMPLES
-        often = expected >= 5
+        part = slice(row * SAMPLES, (row + 1) * SAMPLES)
+        counts = np.bincount(light[part], minlength=count)
+        said = np.zeros(count)
+        said[light[part]] = pdf[part]
+        assert np.allclose(said[light[part]], pdf[part], rtol=1e-5)  # one probability for one light
+        assert said.sum() <= 1 + 1e-4
+        often = said * SAMPLES >= 5
         counts = np.append(counts[often], counts[~often].sum())
-        expected = np.append(expected[often], expected[~often].sum())
+        expected = np.append(said[often], max(1 - said[often].sum(), 1e-9)) * SAMPLES
         assert stats.chisquare(counts, expected / expected.sum() * SAMPLES).pvalue > CONFIDENCE / 3
-    assert (stretched >= 0).all() and (stretched < 1).all()
-    common = stretched[pdf[block, light] > 1e-2]
-    assert stats.kstest(common, "uniform").pvalue > CONFIDENCE / 3
+        common = w[part][pdf[part] > 1e-2]
+        assert stats.kstest(common, "uniform").pvalue > CONFIDENCE / 3
 
 
 @pytest.mark.parametrize("kind", ["point", "sphere", "disk", "spot", "area", "sun", "mesh", "world"])

@@ -23,12 +23,19 @@ from ..integration.sobol import hash_combine, unit_float
 from ..scene import Scene
 from .camera_rays import CameraRays
 from .emitters import emitter_groups
-from .light_choice import BLOCK, PILOT_GRID, LightChoice, light_choice, mean_irradiance
+from .light_choice import (
+    CELL,
+    PILOT_GRID,
+    WEIGHED,
+    CandidateLights,
+    LightChoice,
+    Lights,
+    WeighedLights,
+    mean_irradiance,
+)
 
 RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
 """Channels of the integrand."""
-
-_OVERVIEW_GRID = 8
 
 
 @dataclass(frozen=True)
@@ -36,12 +43,12 @@ class Pixels:
     """B pixels of one tile, the integrand's bins.
 
     x, y : (B,) int, places in the whole frame.
-    block : (B,) int, ascending rows of the tile's `LightChoice`.
+    cell : (B,) int, ascending, the tile's cells of `light_choice`.
     """
 
     x: np.ndarray
     y: np.ndarray
-    block: np.ndarray
+    cell: np.ndarray
 
     def key(self) -> np.ndarray:
         """(B,) uint32, the same for a pixel in any tile and any border render."""
@@ -51,7 +58,7 @@ class Pixels:
         return len(self.x)
 
     def __getitem__(self, part: slice | np.ndarray) -> Pixels:
-        return Pixels(self.x[part], self.y[part], self.block[part])
+        return Pixels(self.x[part], self.y[part], self.cell[part])
 
 
 @dataclass(eq=False)
@@ -61,13 +68,13 @@ class CameraHits:
     values : (C, B * S) what needs no further dimension: emission, background, alpha, normal.
     points : the M rays that hit a surface which light can fall on; ``points.lane`` says which.
     depth : (B * S,) along the view axis, scene units; inf where nothing was hit.
-    block : (M,) rows of the tile's light choice.
+    cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
     """
 
     values: np.ndarray
     points: SurfacePoints
     depth: np.ndarray
-    block: np.ndarray | None
+    cell: np.ndarray | None
 
     @property
     def lane(self) -> np.ndarray | None:
@@ -105,6 +112,8 @@ class DirectLight:
         self._rays = CameraRays(scene.camera, frame)
         self._surfaces = Surfaces(triangles)
         self.emitters, messages = emitter_groups(scene.lights, scene.world, scene.materials, triangles, frame)
+        self.lights = Lights(self.emitters)
+        self._weighed = WeighedLights(self.lights)
         self.messages += messages
         self.channels = 7 if normals else 4
         self._normals = normals
@@ -120,58 +129,42 @@ class DirectLight:
             bool(self._emission[:, np.unique(triangles.material)].any()) if len(triangles) else False
         )
         self._one_material = len(scene.materials) == 1
-        self._first_light = np.cumsum([0] + [len(group) for group in self.emitters])
-        self.lights = int(self._first_light[-1])
-        self._light_number = np.min_scalar_type(max(self.lights, 1))
+        self._light_number = np.min_scalar_type(len(self.lights))
         none = np.zeros((3, 0), np.float32)
         self._strength = np.concatenate([none] + [group.strength for group in self.emitters], axis=1)
         self._casts_shadow = np.concatenate(
             [np.zeros(0, bool)] + [group.casts_shadow for group in self.emitters]
         )
-        self._overview = self._frame_irradiance(scene) if self.lights > 1 else None
 
     # -- choosing among lights ---------------------------------------------------------------------
 
-    def choice_of_blocks(self, block_x: np.ndarray, block_y: np.ndarray) -> LightChoice | None:
-        """The light choice of K blocks, None for at most one light.
+    def choice_of_cells(self, cell_x: np.ndarray, cell_y: np.ndarray) -> LightChoice | None:
+        """The light choice of K cells of the picture, None for at most one light.
 
-        block_x, block_y : (K,) numbered from the whole frame's corner.
+        cell_x, cell_y : (K,) numbered from the whole frame's corner.
         """
-        if self.lights < 2:
+        if len(self.lights) < 2:
             return None
-        irradiance = self._pilot_irradiance(block_x, block_y, BLOCK, BLOCK, PILOT_GRID)
-        return light_choice(irradiance, self._overview)
+        if len(self.lights) <= WEIGHED:
+            return self._weighed
+        return CandidateLights(self.lights, self._pilot_irradiance(cell_x, cell_y))
 
-    def _frame_irradiance(self, scene: Scene) -> np.ndarray:
-        camera = scene.camera
-        x, y = (a.ravel() for a in np.meshgrid(np.arange(_OVERVIEW_GRID), np.arange(_OVERVIEW_GRID)))
-        width, height = camera.width / _OVERVIEW_GRID, camera.height / _OVERVIEW_GRID
-        return self._pilot_irradiance(x, y, width, height, PILOT_GRID).mean(axis=0)
-
-    def _pilot_irradiance(
-        self, cell_x: np.ndarray, cell_y: np.ndarray, width: float, height: float, grid: int
-    ) -> np.ndarray:
-        """(K, L) mean unshadowed irradiance at jittered pilot hits in cells of width x height pixels."""
-        row, column = np.divmod(np.arange(grid * grid), grid)
-        seed = [
-            hash_combine(cell_x[:, None], cell_y[:, None], row * grid + column, axis) for axis in (71, 72)
-        ]
-        u = np.stack(
-            [
-                (column + unit_float(seed[0])) * np.float32(width / grid),
-                (row + unit_float(seed[1])) * np.float32(height / grid),
-            ]
-        )
-        origins, directions = self._rays.rays(cell_x * width, cell_y * height, u)
+    def _pilot_irradiance(self, cell_x: np.ndarray, cell_y: np.ndarray) -> np.ndarray:
+        """(K, L) irradiance at the hits of jittered pilot rays in each cell."""
+        row, column = np.divmod(np.arange(PILOT_GRID**2), PILOT_GRID)
+        step = np.float32(CELL / PILOT_GRID)
+        pilot = np.arange(PILOT_GRID**2)
+        across, up = (hash_combine(cell_x[:, None], cell_y[:, None], pilot, axis) for axis in (71, 72))
+        u = np.stack([(column + unit_float(across)) * step, (row + unit_float(up)) * step])
+        origins, directions = self._rays.rays(cell_x * CELL, cell_y * CELL, u)
         points, _ = self._surfaces.first_hit(origins, directions, self._rays.reach)
-        shape = (len(cell_x), grid * grid)
-        found = np.zeros(shape, bool)
-        position, normal = np.zeros((2, 3, *shape), np.float32)
+        found = np.zeros(across.shape, bool)
+        position, normal = np.zeros((2, 3, *across.shape), np.float32)
         lanes = slice(None) if points.lane is None else points.lane
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
         normal.reshape(3, -1)[:, lanes] = points.normal
-        return mean_irradiance(self.emitters, position, normal, found)
+        return mean_irradiance(self.lights, position, normal, found)
 
     # -- the two stages ----------------------------------------------------------------------------
 
@@ -212,12 +205,11 @@ class DirectLight:
         depth = (depth + np.float32(self._rays.clip_start)) * np.float32(self._unscale)
         if held is not None and held.any():
             points = _without(points, held)
-        block = None
-        if self.lights > 1:
-            samples = u.shape[2]
-            rows = np.repeat(pixels.block, samples)
-            block = rows if points.lane is None else rows.take(points.lane)
-        return CameraHits(values, points, depth, block)
+        cell = None
+        if len(self.lights) > WEIGHED:
+            rows = np.repeat(pixels.cell, u.shape[2])
+            cell = rows if points.lane is None else rows.take(points.lane)
+        return CameraHits(values, points, depth, cell)
 
     def rest(self, hits: CameraHits, u: np.ndarray, choice: LightChoice | None) -> Reflected:
         """Reflected radiance at the M hits, for S samples each.
@@ -226,9 +218,9 @@ class DirectLight:
         """
         points = hits.points
         split = u.shape[2]
-        if self.lights == 0 or u.size == 0:
+        if len(self.lights) == 0 or u.size == 0:
             return Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
-        if self.lights == 1:
+        if len(self.lights) == 1:
             light = None
             at = None if split == 1 else np.repeat(np.arange(len(points)), split)
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
@@ -236,7 +228,7 @@ class DirectLight:
             to_light, weight = self.emitters[0].sample(None, position, normal, u[0], u[1:])
             at_infinity, is_mesh = self.emitters[0].at_infinity, self.emitters[0].is_mesh
         else:
-            light, pdf, w = choice.choose(hits.block, u[0])
+            light, pdf, w = choice.choose(points.position, points.normal, hits.cell, u[0])
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._light_number), kind="stable")
             light, pdf, w = light.take(order), pdf.take(order), w.take(order)
@@ -279,9 +271,9 @@ class DirectLight:
         n = len(light)
         to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
         at_infinity, is_mesh = np.zeros((2, n), bool)
-        cuts = np.searchsorted(light, self._first_light)
+        cuts = np.searchsorted(light, self.lights.first)
         for group, start, low, high in zip(
-            self.emitters, self._first_light[:-1], cuts[:-1], cuts[1:], strict=True
+            self.emitters, self.lights.first[:-1], cuts[:-1], cuts[1:], strict=True
         ):
             if low == high:
                 continue

@@ -51,6 +51,7 @@ class Emitters:
         """strength : (L, 3) float64. size : (L,) float64, 0 where a light has none."""
         self.strength = np.minimum(strength, _LARGEST).T.astype(np.float32)
         self.casts_shadow = np.array(casts_shadow, bool)
+        self._brightness = (self.strength / 3).sum(axis=0)
         self.size = np.asarray(size, np.float64)
         with np.errstate(divide="ignore", over="ignore"):
             self._radiance = np.minimum(np.asarray(strength).T / self.size, _LARGEST).astype(np.float32)
@@ -69,10 +70,12 @@ class Emitters:
         """
         raise NotImplementedError
 
-    def irradiance(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """(L, M) a quick, generous estimate of each light's unshadowed irradiance, for choosing among them.
+    def irradiance(
+        self, position: np.ndarray, normal: np.ndarray, which: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(L', M) quick, generous estimates of unshadowed irradiance, for choosing among the lights.
 
-        Positive wherever the light might reach the point.
+        Of all lights, or of ``which`` (L',). Positive wherever a light might reach the point.
         """
         raise NotImplementedError
 
@@ -80,10 +83,9 @@ class Emitters:
         """(3, N) radiance of lights that camera rays see before ``distance`` (N,), None if there are none."""
         return None
 
-    @property
-    def brightness(self) -> np.ndarray:
-        """(L, 1) mean of the strength's colour channels."""
-        return (self.strength / 3).sum(axis=0)[:, None]
+    def _column(self, table: np.ndarray, which: np.ndarray | None) -> np.ndarray:
+        """Rows of a table (..., L) as a column (..., L', 1), to be met with points (..., 1, M)."""
+        return _of(table, which)[..., None]
 
 
 def _of(table: np.ndarray, which: np.ndarray | None) -> np.ndarray:
@@ -137,24 +139,34 @@ class _Points(Emitters):
         super().__init__(strength, size, [light.casts_shadow for light in lights])
         self._position = frame.positions([_position(light) for light in lights]).T.copy()
         self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
+        self._any_size = bool((self._radius > 0).any())
         self._cone = _Cone(lights)
         self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera and light.radius > 0]
 
     def _attenuate(self, measure: np.ndarray, which: np.ndarray | None, to_light: np.ndarray) -> np.ndarray:
         return measure * self._cone.attenuation(which, to_light) if self._cone.any else measure
 
-    def irradiance(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        to_light = self._position[:, :, None] - position[:, None, :]
-        radius = self._radius[:, None]
+    def irradiance(self, position, normal, which=None):
+        to_light = self._column(self._position, which) - position[:, None, :]
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         inverse = 1 / np.sqrt(square)
-        size = np.minimum(radius * inverse, 1)
-        cosine = dot(to_light, normal[:, None, :]) * inverse
-        cosine = np.clip((cosine + size) / (1 + size), 0, 1)
-        estimate = self.brightness * cosine / (square + radius * radius)
+        cosine = dot(to_light, normal[:, None, :])
+        cosine *= inverse
+        if self._any_size:
+            radius = self._column(self._radius, which)
+            size = np.minimum(radius * inverse, 1)
+            cosine += size
+            cosine /= 1 + size
+            square += radius * radius
+        else:
+            size = np.float32(0)
+        estimate = np.clip(cosine, 0, 1, out=cosine)
+        estimate *= self._column(self._brightness, which)
+        estimate /= square
         if self._cone.any:
-            which = np.broadcast_to(np.arange(len(self))[:, None], square.shape)
-            cone = self._cone.attenuation(which, to_light, size + np.float32(1e-3))
+            light = np.arange(len(self)) if which is None else which
+            light = np.broadcast_to(light[:, None], square.shape)
+            cone = self._cone.attenuation(light, to_light, size + np.float32(1e-3))
             estimate *= np.where(cone > 0, np.maximum(cone, np.float32(1e-3)), 0)
         return estimate
 
@@ -231,12 +243,12 @@ class SphereEmitters(_Points):
             return direction * reach, measure
         return direction * reach, self._attenuate(measure, which, direction)
 
-    def irradiance(self, position, normal):
-        estimate = super().irradiance(position, normal)
-        to_light = self._position[:, :, None] - position[:, None, :]
-        inside = dot(to_light, to_light) <= 1.0001 * self._radius[:, None] ** 2
-        square = np.maximum(self._radius[:, None] ** 2, np.float32(1e-37))
-        return np.where(inside, self.brightness / square, estimate)
+    def irradiance(self, position, normal, which=None):
+        estimate = super().irradiance(position, normal, which)
+        to_light = self._column(self._position, which) - position[:, None, :]
+        square = np.maximum(self._column(self._radius, which) ** 2, np.float32(1e-37))
+        inside = dot(to_light, to_light) <= np.float32(1.0001) * square
+        return np.where(inside, self._column(self._brightness, which) / square, estimate)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -292,6 +304,7 @@ class AreaEmitters(Emitters):
         self._normalise = np.array([row[4] for row in rows], np.float32)
         self._any_grid = bool(self._normalise.any())
         lengths = length(self._edge_x), length(self._edge_y)
+        self._reach = 0.5 * (lengths[0] + lengths[1])
         sheared = np.abs(dot(self._edge_x, self._edge_y)) > 1e-4 * lengths[0] * lengths[1]
         # No solid angle for what is no rectangle.
         self._large = np.where(sheared | self._ellipse, np.float32(0), self._area / _SMALL)
@@ -334,18 +347,29 @@ class AreaEmitters(Emitters):
             measure *= self._grid(which, np.minimum(cosine_d * inverse, 1))
         return to_light, measure
 
-    def irradiance(self, position, normal):
-        to_light = self._centre[:, :, None] - position[:, None, :]
+    def irradiance(self, position, normal, which=None):
+        to_light = self._column(self._centre, which) - position[:, None, :]
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        reach = 0.5 * (length(self._edge_x) + length(self._edge_y))[:, None]
+        reach = self._column(self._reach, which)
         inverse = 1 / np.sqrt(square)
         size = np.minimum(reach * inverse, 1)
-        surface = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
+        estimate = dot(to_light, normal[:, None, :])
+        estimate *= inverse
+        estimate += size
+        estimate /= 1 + size
+        np.clip(estimate, 0, 1, out=estimate)
         # A light's own plane can't be smoothed over: what lies behind all of it stays dark.
-        height = -dot(self._facing[:, :, None], to_light)
-        light = np.clip((height * inverse + 0.5 * size) / (1 + 0.5 * size), 0, 1) * (height > -1e-5 * reach)
-        area = self._area[:, None]
-        return self.brightness * surface * light / (square + area * np.float32(1 / np.pi))
+        height = -dot(self._column(self._facing, which), to_light)
+        size *= np.float32(0.5)
+        light = height * inverse
+        light += size
+        light /= 1 + size
+        estimate *= np.clip(light, 0, 1, out=light)
+        estimate *= height > np.float32(-1e-5) * reach
+        estimate *= self._column(self._brightness, which)
+        square += self._column(self._area, which) * np.float32(1 / np.pi)
+        estimate /= square
+        return estimate
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -398,10 +422,10 @@ class SunEmitters(Emitters):
         x, y, below = cap(u[0], u[1], _of(self._one_minus_cos, which))
         return x * s + y * t + (1 - below) * axis, measure
 
-    def irradiance(self, position, normal):
-        cosine = dot(self._axis[:, :, None], normal[:, None, :])
-        size = self._sin[:, None]
-        return self.brightness * np.clip((cosine + size) / (1 + size), 0, 1)
+    def irradiance(self, position, normal, which=None):
+        cosine = dot(self._column(self._axis, which), normal[:, None, :])
+        size = self._column(self._sin, which)
+        return self._column(self._brightness, which) * np.clip((cosine + size) / (1 + size), 0, 1)
 
     def seen(self, origins, directions, distance):
         def intersect(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -425,8 +449,8 @@ class WorldEmitter(Emitters):
     def sample(self, which, position, normal, w, u):
         return _cosine_hemisphere(normal, u)
 
-    def irradiance(self, position, normal):
-        return np.broadcast_to(np.float32(np.pi) * self.brightness, (1, position.shape[1]))
+    def irradiance(self, position, normal, which=None):
+        return np.full((1, position.shape[1]), np.float32(np.pi) * self._brightness[0])
 
 
 class MeshEmitters(Emitters):
@@ -481,14 +505,16 @@ class MeshEmitters(Emitters):
         cosine_d = np.abs(dot(take(self._normal, triangle), to_light))
         return to_light, cosine_d / (square * np.sqrt(square))
 
-    def irradiance(self, position, normal):
-        to_light = self._centre[:, :, None] - position[:, None, :]
+    def irradiance(self, position, normal, which=None):
+        to_light = self._column(self._centre, which) - position[:, None, :]
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        reach = self._reach[:, None]
+        reach = self._column(self._reach, which)
         inverse = 1 / np.sqrt(square)
         size = np.minimum(reach * inverse, 1)
-        surface = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
-        return self.brightness * surface * 0.5 / (square + reach * reach)
+        estimate = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
+        # Seen from a random side, a flat light shows half of its area.
+        estimate *= np.float32(0.5) * self._column(self._brightness, which)
+        return estimate / (square + reach * reach)
 
 
 def _spherical_rectangle(

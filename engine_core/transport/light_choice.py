@@ -1,98 +1,206 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which light a sample goes to.
 
-The picture is parted into blocks of 16 x 16 pixels, aligned to the whole frame. A few pilot rays
-through each block, whose points come from the block alone, find what is lit there; a light is then
-chosen in proportion to its mean unshadowed irradiance at the pilots' hits, with a part for what
-lights the whole frame and a part for all lights alike, so that none that could matter is ever missed. The
-pilots do not enter the picture: the estimate stays unbiased, and it is the same for any tile.
+A light is chosen in proportion to a quick estimate of the unshadowed irradiance that it gives the
+shaded point itself. Where the lights are too many for that, the picture is parted into cells, aligned
+to the whole frame; pilot rays through each cell, whose points come from the cell alone and which do
+not enter the picture, find the lights that matter there. Those are weighed at every point, all the
+others together by their mean in the cell. A part of the chances is the same for all lights, so that
+none is ever missed: the estimate is unbiased whatever the estimates are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from .emitters import Emitters
 
-BLOCK = 16
-"""Edge of a block in pixels."""
+CELL = 32
+"""Edge of a cell in pixels."""
 
-PILOT_GRID = 4
-"""Pilot rays a block, along each edge."""
+PILOT_GRID = 8
+"""Pilot rays a cell, along each edge."""
 
-# Parts of the mixture: the block's own pilots, those of the whole frame, and all lights alike.
-_OWN, _AROUND, _ALIKE = 0.8, 0.15, 0.05
+WEIGHED = 64
+"""How many lights are weighed at every point."""
 
-# Lights x points evaluated at once: keeps the temporary arrays within some 16 MB.
-_CHUNK = 1 << 20
+_ALIKE = 0.05
+"""The part of the chances that all lights have alike."""
+
+# Lights x points evaluated at once, so that the temporary arrays stay in the cache.
+_CHUNK = 1 << 17
+
+Choice = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-class LightChoice:
-    """Discrete distributions over all lights of a scene, one for each of K blocks.
+class LightChoice(Protocol):
+    """A discrete distribution over lights at every shaded point."""
 
-    pdf : (K, L) float32. cdf : (K, L) float32, inclusive; the last entry is 1.
-    """
-
-    def __init__(self, pdf: np.ndarray) -> None:
-        """pdf : (K, L), rows sum to 1."""
-        self.pdf = pdf.astype(np.float32)
-        self.cdf = np.cumsum(pdf, axis=1).astype(np.float32)
-        self.cdf[:, -1] = 1
-
-    def choose(self, block: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def choose(
+        self, position: np.ndarray, normal: np.ndarray, cell: np.ndarray | None, w: np.ndarray
+    ) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
-        block : (M,) ascending rows of the table. w : (M, S) uniform in (0, 1).
+        position, normal : (3, M). cell : (M,) ascending. w : (M, S) uniform in (0, 1).
         """
-        light = np.empty(w.shape, np.intp)
-        starts = np.flatnonzero(np.diff(block, prepend=-1))
-        for start, stop in zip(starts, np.append(starts[1:], len(w)), strict=True):
-            light[start:stop] = np.searchsorted(self.cdf[block[start]], w[start:stop], side="right")
-        lights = self.cdf.shape[1]
-        np.minimum(light, lights - 1, out=light)
-        flat = (light + block[:, None] * lights).reshape(-1)
-        pdf = self.pdf.reshape(-1).take(flat)
-        stretched = w.reshape(-1) - self.cdf.reshape(-1).take(flat)
-        stretched /= pdf
-        stretched += 1
-        np.clip(stretched, 0, np.float32(1 - 2.0**-24), out=stretched)
-        return light.reshape(-1), pdf, stretched
+        ...
+
+
+class Lights:
+    """All lights of a scene, numbered group after group."""
+
+    def __init__(self, groups: Sequence[Emitters]) -> None:
+        self.groups = tuple(groups)
+        self.first = np.cumsum([0] + [len(group) for group in groups])
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
+
+    def irradiance(
+        self, position: np.ndarray, normal: np.ndarray, which: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(L', M) estimates at points (3, M) of all lights, or of ``which`` (L',), ascending."""
+        if which is None:
+            parts = [group.irradiance(position, normal) for group in self.groups]
+        else:
+            cuts = np.searchsorted(which, self.first)
+            parts = [
+                group.irradiance(position, normal, which[low:high] - start)
+                for group, start, low, high in zip(
+                    self.groups, self.first[:-1], cuts[:-1], cuts[1:], strict=True
+                )
+                if low < high
+            ]
+        estimate = np.concatenate(parts, axis=0)
+        if not np.isfinite(estimate.sum()):
+            np.nan_to_num(estimate, copy=False, posinf=0)
+        return estimate
+
+
+class WeighedLights:
+    """Every light weighed at every point."""
+
+    def __init__(self, lights: Lights) -> None:
+        self._lights = lights
+
+    def choose(self, position, normal, cell, w) -> Choice:
+        step = max(1, _CHUNK // len(self._lights))
+        chances = np.full(len(self._lights), 1 / len(self._lights))
+        parts = []
+        for start in range(0, len(w), step):
+            part = slice(start, start + step)
+            weight = self._lights.irradiance(position[:, part], normal[:, part])
+            parts.append(_choose(weight, chances, w[part]))
+        return _joined(parts)
+
+
+class CandidateLights:
+    """For each of K cells, the lights that matter there weighed at every point, the others by their mean."""
+
+    def __init__(self, lights: Lights, mean: np.ndarray) -> None:
+        """mean : (K, L) irradiance of every light over the cell, in some mean."""
+        count = len(lights)
+        self._lights = lights
+        self._candidates = np.sort(np.argpartition(-mean, WEIGHED, axis=1)[:, :WEIGHED], axis=1)
+        rest = mean.copy()
+        np.put_along_axis(rest, self._candidates, 0, axis=1)
+        self._rest = rest.sum(axis=1)
+        alike = np.ones_like(rest)
+        np.put_along_axis(alike, self._candidates, 0, axis=1)
+        alike /= count - WEIGHED
+        total = self._rest[:, None]
+        pdf = np.where(total > 0, 0.8 * rest / np.where(total > 0, total, 1) + 0.2 * alike, alike)
+        self._pdf = pdf.astype(np.float32)
+        self._cdf = np.cumsum(pdf, axis=1).astype(np.float32)
+        self._chances = np.append(np.full(WEIGHED, 1 / count), 1 - WEIGHED / count)
+
+    def choose(self, position, normal, cell, w) -> Choice:
+        starts = np.flatnonzero(np.diff(cell, prepend=-1))
+        step = _CHUNK // WEIGHED
+        parts = []
+        for first, stop in zip(starts, np.append(starts[1:], len(w)), strict=True):
+            for start in range(first, stop, step):
+                part = slice(start, min(start + step, stop))
+                parts.append(self._choose(position[:, part], normal[:, part], int(cell[first]), w[part]))
+        return _joined(parts)
+
+    def _choose(self, position: np.ndarray, normal: np.ndarray, cell: int, w: np.ndarray) -> Choice:
+        weight = np.empty((WEIGHED + 1, len(w)), np.float32)
+        weight[:-1] = self._lights.irradiance(position, normal, self._candidates[cell])
+        weight[-1] = self._rest[cell]
+        slot, pdf, w = _choose(weight, self._chances, w)
+        light = np.append(self._candidates[cell], 0).take(slot)
+        others = np.flatnonzero(slot == WEIGHED)
+        if others.size:
+            cdf = self._cdf[cell]
+            chosen = np.searchsorted(cdf, w[others] * cdf[-1], side="right")
+            # Rounding may point at the table's end, or at a candidate, which has no part in it.
+            chosen = np.minimum(chosen, int(np.flatnonzero(self._pdf[cell])[-1]))
+            light[others] = chosen
+            share = self._pdf[cell].take(chosen)
+            stretched = (w[others] * cdf[-1] - cdf.take(chosen)) / share + 1
+            pdf[others] *= share
+            w[others] = np.clip(stretched, 0, np.float32(1 - 2.0**-24))
+        return light, pdf, w
+
+
+def _choose(weight: np.ndarray, chances: np.ndarray, w: np.ndarray) -> Choice:
+    """Slots (M * S,) in proportion to ``weight`` (L, M), ``_ALIKE`` of the time to ``chances`` (L,).
+
+    Overwrites ``weight``.
+    """
+    total = weight.sum(axis=0)
+    dark = total <= np.float32(1e-37)
+    if dark.any():
+        weight[:, dark] = chances.astype(np.float32)[:, None]
+        total = np.where(dark, np.float32(1), total)
+    weight += np.outer(chances, total * (_ALIKE / (1 - _ALIKE))).astype(np.float32)
+    upper = np.empty_like(weight)
+    upper[0] = weight[0]
+    for before, here, out in zip(upper[:-1], weight[1:], upper[1:], strict=True):
+        np.add(before, here, out=out)
+    total = upper[-1]
+    x = w * total[:, None]
+    slot = np.zeros(w.shape, np.uint8)
+    for bound in upper[:-1]:
+        slot += x >= bound[:, None]
+    slot = slot.reshape(-1).astype(np.intp)
+    flat = slot * len(total) + np.repeat(np.arange(len(total)), w.shape[1])
+    chosen = weight.reshape(-1).take(flat)
+    stretched = x.reshape(-1) - upper.reshape(-1).take(flat)
+    stretched /= chosen
+    stretched += 1
+    np.clip(stretched, 0, np.float32(1 - 2.0**-24), out=stretched)
+    return slot, chosen / np.repeat(total, w.shape[1]), stretched
+
+
+def _joined(parts: list[Choice]) -> Choice:
+    return (
+        parts[0] if len(parts) == 1 else tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    )
 
 
 def mean_irradiance(
-    groups: Sequence[Emitters], position: np.ndarray, normal: np.ndarray, found: np.ndarray
+    lights: Lights, position: np.ndarray, normal: np.ndarray, found: np.ndarray
 ) -> np.ndarray:
-    """(K, L) mean unshadowed irradiance of every light over the points of each block; 0 without points.
+    """(K, L) irradiance of every light over the pilots of each cell, 0 without any.
 
-    position, normal : (3, K, P) float32, P points a block. found : (K, P) bool, which of them are any.
+    The mean and the largest value in equal parts: a light that only a corner of the cell sees counts.
+
+    position, normal : (3, K, P) float32, P pilots a cell. found : (K, P) bool, which of them hit.
     """
-    blocks, points = found.shape
-    lights = sum(len(group) for group in groups)
-    total = np.zeros((blocks, lights))
-    step = max(1, _CHUNK // (lights * points))
-    # Each block is summed over its own points alone, in one order, so that its distribution is the
-    # same whatever other blocks it is computed with.
-    for start in range(0, blocks, step):
+    cells, pilots = found.shape
+    result = np.zeros((cells, len(lights)), np.float32)
+    step = max(1, 8 * _CHUNK // (len(lights) * pilots))
+    # Each cell is summed over its own pilots alone, in one order, so that its distribution is the same
+    # whatever other cells it is computed with.
+    for start in range(0, cells, step):
         part = slice(start, start + step)
         where = (position[:, part].reshape(3, -1), normal[:, part].reshape(3, -1))
-        estimate = np.concatenate([group.irradiance(*where) for group in groups], axis=0)
-        np.nan_to_num(estimate, copy=False, posinf=0, neginf=0)
-        estimate = estimate.reshape(lights, -1, points) * found[part]
-        total[part] = estimate.sum(axis=2).T
-    return total / np.maximum(found.sum(axis=1), 1)[:, None]
-
-
-def light_choice(irradiance: np.ndarray, overview: np.ndarray) -> LightChoice:
-    """The mixture for (K, L) mean irradiances of blocks and (L,) the whole frame's."""
-    lights = irradiance.shape[1]
-
-    def normalised(rows: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        total = rows.sum(axis=-1, keepdims=True)
-        return np.where(total > 0, rows / np.where(total > 0, total, 1), otherwise)
-
-    alike = np.full(lights, 1 / lights)
-    around = normalised(overview, alike)
-    own = normalised(irradiance, around)
-    return LightChoice(_OWN * own + _AROUND * around + _ALIKE * alike)
+        estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots) * found[part]
+        count = np.maximum(found[part].sum(axis=1), 1).astype(np.float32)
+        result[part] = (0.5 * estimate.sum(axis=2) / count + 0.5 * estimate.max(axis=2)).T
+    return result

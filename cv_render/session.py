@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import traceback
 from typing import Any
@@ -15,8 +16,8 @@ from . import passes
 from .export import Messages, export_scene
 from .properties import engine_settings
 
-BACKGROUND_INTERVAL = 2.0
-"""Seconds between lines of progress on a console."""
+TERMINAL_INTERVAL, LOG_INTERVAL = 0.25, 5.0
+"""Seconds between two words of progress: on a terminal, where they replace each other, and in a log."""
 
 last_messages: list[str] = []
 """What the last render could not do as asked, for the panel."""
@@ -49,7 +50,10 @@ def _render(engine: Any, depsgraph: Any) -> None:
         engine.update_stats("", "Exporting scene")
     scene = export_scene(engine, depsgraph, messages)
     sink = BlenderSink(engine, depsgraph.view_layer_eval.name)
-    film = engine_core.render(scene, settings, sink)
+    try:
+        film = engine_core.render(scene, settings, sink)
+    finally:
+        sink.end()
     x0, y0, x1, y1 = scene.camera.region
     sink.write(film, 0, 0, x1 - x0, y1 - y0)
     _tell(engine, [*messages, *film.messages])
@@ -61,7 +65,9 @@ class BlenderSink(Sink):
     def __init__(self, engine: Any, layer: str) -> None:
         self._engine = engine
         self._layer = layer
-        self._next_line = time.monotonic() + BACKGROUND_INTERVAL
+        self._terminal = sys.stdout.isatty()
+        self._interval = TERMINAL_INTERVAL if self._terminal else LOG_INTERVAL
+        self._next_line = time.monotonic() + self._interval
 
     def cancelled(self) -> bool:
         return self._engine.test_break()
@@ -79,8 +85,13 @@ class BlenderSink(Sink):
         if not bpy.app.background:
             self._engine.update_stats("", text)
         elif time.monotonic() >= self._next_line:
-            self._next_line = time.monotonic() + BACKGROUND_INTERVAL
-            print(f"CV Render: {text}", flush=True)
+            self._next_line = time.monotonic() + self._interval
+            print(f"CV Render: {text}", end="\x1b[K\r" if self._terminal else "\n", flush=True)
+
+    def end(self) -> None:
+        """Leave nothing of the last progress on the terminal's line."""
+        if bpy.app.background and self._terminal:
+            print(end="\x1b[K", flush=True)
 
 
 def _clock(seconds: float) -> str:
@@ -94,7 +105,8 @@ def _tell(engine: Any, messages: list[str]) -> None:
     last_messages[:] = messages
     for message in messages:
         print(f"CV Render: {message}", flush=True)
-    if messages:
+    # Without a window, Blender would print the report below what was printed just now.
+    if messages and not bpy.app.background:
         engine.report({"WARNING"}, "CV Render: " + "; ".join(messages))
 
 

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import area_light, assert_picture_is_sound, floor, nasty_scene, studio
+from scenes import area_light, assert_picture_is_sound, floor, mixed_lights, nasty_scene, studio
 
 import engine_core
 from engine_core import Camera, PointLight, Scene, Settings, SunLight, World, render
@@ -69,6 +70,17 @@ def test_ever_smaller_sun_becomes_parallel_light(angle):
         return render(studio(lights=[sun]), Settings(samples=4)).combined
 
     assert np.allclose(picture(angle), picture(0.0), rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seen", [True, False])
+def test_ordinary_scenes_warn_of_nothing(seen):
+    """Black channels, lights without size and empty scenes are no reason for NumPy to print a line."""
+    red = (1.0, 0.0, 0.0)
+    lights = [dataclasses.replace(light, power=red, visible_to_camera=seen) for light in mixed_lights(6)]
+    for some in ([], *([light] for light in lights), lights):
+        render(studio(16, 16, some), Settings(samples=2, noise_threshold=0.1, min_samples=1, normals=True))
+    render(Scene(Camera.look_at((0, -3, 0), (0, 0, 0), 4, 4)), Settings(samples=2))
 
 
 def test_background_alone_is_exact():

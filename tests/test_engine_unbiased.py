@@ -8,9 +8,21 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes import WHITE, area_light, assert_mean, blocks, floor, mixed_lights, patch_camera, pictures, studio
+from scenes import (
+    WHITE,
+    area_light,
+    assert_mean,
+    blocks,
+    floor,
+    mixed_lights,
+    patch_camera,
+    pictures,
+    place,
+    studio,
+)
 
-from engine_core import PointLight, Scene, Settings, World, render
+from engine_core import Camera, Mesh, PointLight, Scene, Settings, SunLight, World, render
+from engine_core.transport.light_choice import WEIGHED
 
 SEEDS = 64
 SCENES = {
@@ -78,16 +90,42 @@ def test_two_hundred_lights_add_to_their_closed_form(light_samples, integrator):
 
 
 def test_light_that_no_pilot_sees_is_still_found():
-    """A box of which pilots see the roof alone hides a lamp that lights a few pixels of its inside."""
-    lamps = [PointLight(1000.0, position=(0, 0, 50)), PointLight(0.05, position=(0.3, 0.0, 0.02))]
-    scene = Scene(studio(32, 32).camera, studio().meshes, studio().materials, lamps)
-    alone = [blocks(pictures(dataclasses.replace(scene, lights=[lamp]), 4, samples=256)) for lamp in lamps]
+    """Dozens of lights on a floor, and one that reaches but a tilted chip of a pixel's size."""
+    chip = Mesh([[0.1, -0.02, 0.3], [0.1, 0.06, 0.3], [0.14, -0.02, 0.2]], [[0, 1, 2]], name="Chip")
+    camera = Camera(place((0, 0, 2)), (-0.5, 0.5, -0.5, 0.5), 16, 16, projection="orthographic")
+    above = SunLight(1.0, direction=(0, 0, -1))
+    # It grazes the floor, which gets nothing from it.
+    level = SunLight(300.0, direction=(-1, 0, 0))
+    dark = Scene(camera, (floor(), chip), (WHITE,))
+    alone = [
+        blocks(pictures(dataclasses.replace(dark, lights=[light]), 8, samples=1024))
+        for light in (above, level)
+    ]
+    assert (alone[1].mean(axis=0) > 0.5 * alone[0].mean(axis=0)).all()
     wanted = sum(estimate.mean(axis=0) for estimate in alone)
-    estimates = blocks(pictures(scene, SEEDS, samples=4))
+    many = [dataclasses.replace(above, power=above.power / WEIGHED)] * WEIGHED + [level]
+    estimates = blocks(pictures(dataclasses.replace(dark, lights=many), SEEDS, samples=64))
     own = estimates.std(axis=0, ddof=1) / np.sqrt(SEEDS)
-    error = np.sqrt(sum(estimate.var(axis=0, ddof=1) for estimate in alone) / 4)
-    z = np.abs(estimates.mean(axis=0) - wanted) / np.sqrt(own**2 + error**2 + 1e-16)
-    assert z.max() < 4
+    error = np.sqrt(sum(estimate.var(axis=0, ddof=1) for estimate in alone) / 8)
+    assert (own < 0.1 * wanted).all()  # or nothing would be shown
+    assert (np.abs(estimates.mean(axis=0) - wanted) < 4 * np.hypot(own, error)).all()
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("edge", [0.03, 0.5, 0.92])
+def test_pixel_is_the_mean_over_its_whole_square(axis, edge, projection):
+    """A sheet that ends within a pixel covers as much of it as its area says."""
+    pixels, where = 8, 5
+    low, high = [-9.0, -9.0], [9.0, 9.0]
+    high[axis] = (where + edge) / pixels * 2 - 1
+    corners = [[x, y, -1] for x, y in (low, (high[0], low[1]), high, (low[0], high[1]))]
+    sheet = Mesh(corners, [[0, 1, 2], [0, 2, 3]])
+    camera = Camera(np.eye(4), (-1, 1, -1, 1), pixels, pixels, projection=projection)
+    film = render(Scene(camera, [sheet]), Settings(samples=256, transparent=True))
+    wanted = np.clip(where + edge - np.arange(pixels), 0, 1)
+    alpha = film.combined[..., 3] if axis == 0 else film.combined[..., 3].T
+    assert np.abs(alpha - wanted).max() <= 1 / 256
 
 
 @pytest.mark.parametrize(("samples", "factor"), [(16, 2.0), (64, 3.0)])

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from types import ModuleType
 from typing import Any
 
@@ -375,33 +374,3 @@ def test_degenerate_objects_do_no_harm(cv: ModuleType, scene: Any) -> None:
 def test_emitting_materials(cv: ModuleType, scene: Any) -> None:
     found, _ = exported_material(cv, scene, emission("Lamp", (1, 0.5, 0.25), 4))
     assert np.allclose(found.emission, (4, 2, 1)) and not found.reflectance.any()
-
-
-@pytest.mark.full
-def test_a_million_triangles_and_ten_thousand_objects_are_quick(cv: ModuleType, scene: Any) -> None:
-    import bmesh
-    import bpy
-
-    def seconds() -> float:
-        times = []
-        for _ in range(3):
-            begin = time.perf_counter()
-            export(cv)
-            times.append(time.perf_counter() - begin)
-        return min(times)
-
-    mesh = bpy.data.meshes.new("Grid")
-    grid = bmesh.new()
-    bmesh.ops.create_grid(grid, x_segments=708, y_segments=708, size=2)
-    grid.to_mesh(mesh)
-    grid.free()
-    mesh.polygons.foreach_set("use_smooth", [True] * len(mesh.polygons))
-    obj = add(scene, "Grid", mesh)
-    bpy.context.view_layer.update()
-    assert seconds() < 0.3
-    bpy.data.objects.remove(obj)
-    cube = add_cube(scene).data
-    for i in range(10_000):
-        add(scene, "Cube", cube.copy(), (i % 100, i // 100, 0))
-    bpy.context.view_layer.update()
-    assert seconds() < 2

@@ -95,12 +95,11 @@ def test_light_that_no_pilot_sees_is_still_found():
     camera = Camera(place((0, 0, 2)), (-0.5, 0.5, -0.5, 0.5), 16, 16, projection="orthographic")
     above = SunLight(1.0, direction=(0, 0, -1))
     # It grazes the floor, which gets nothing from it.
-    level = SunLight(300.0, direction=(-1, 0, 0))
+    level = SunLight(900.0, direction=(-1, 0, 0))
     dark = Scene(camera, (floor(), chip), (WHITE,))
-    alone = [
-        blocks(pictures(dataclasses.replace(dark, lights=[light]), 8, samples=1024))
-        for light in (above, level)
-    ]
+    alone = []
+    for light in (above, level):
+        alone.append(blocks(pictures(dataclasses.replace(dark, lights=[light]), 8, samples=1024)))
     assert (alone[1].mean(axis=0) > 0.5 * alone[0].mean(axis=0)).all()
     wanted = sum(estimate.mean(axis=0) for estimate in alone)
     many = [dataclasses.replace(above, power=above.power / WEIGHED)] * WEIGHED + [level]

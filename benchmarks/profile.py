@@ -27,6 +27,12 @@ def watch_blender(watch: Stopwatch, extension: ModuleType, scenes: list[Any]) ->
     watch.time(session.BlenderSink, "write", "pixels to Blender")
 
 
+def classes(module: ModuleType) -> list[type]:
+    """Those that a module defines itself."""
+    return [kind for kind in vars(module).values() if getattr(kind, "__module__", "") == module.__name__
+            and isinstance(kind, type)]  # fmt: skip
+
+
 def watch_engine(watch: Stopwatch, engine: ModuleType) -> None:
     """Time the parts of engine_core."""
 
@@ -41,10 +47,12 @@ def watch_engine(watch: Stopwatch, engine: ModuleType) -> None:
     watch.time(module("transport.camera_rays").CameraRays, "rays", "camera rays")
     watch.time(surfaces, "first_hit", "surface points")
     watch.time(surfaces, "visible", "shadow rays' ends")
-    watch.time(direct.DirectLight, "choice_of_blocks", "choice of lights")
-    watch.time(direct.LightChoice, "choose", "choice of lights")
-    for kind in vars(emitters).values():
-        if isinstance(kind, type) and issubclass(kind, emitters.Emitters) and "sample" in vars(kind):
+    watch.time(direct.DirectLight, "choice_of_cells", "choice of lights")
+    for kind in classes(module("transport.light_choice")):
+        if "choose" in vars(kind):
+            watch.time(kind, "choose", "choice of lights")
+    for kind in classes(emitters):
+        if "sample" in vars(kind):
             watch.time(kind, "sample", "points on lights")
     watch.time(direct.DirectLight, "first", "shading")
     watch.time(direct.DirectLight, "rest", "shading")

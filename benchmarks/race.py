@@ -211,7 +211,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
                         help=f"{', '.join(SCENES)}, or paths of .blend files")  # fmt: skip
     parser.add_argument("--sizes", nargs="+", type=int, default=[256, 1024], metavar="PIXELS")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--samples", nargs="+", type=int, default=[4, 8, 16, 32, 64, 128], metavar="N",
+    parser.add_argument("--samples", nargs="+", type=int, default=[2, 4, 8, 16, 32, 64, 128], metavar="N",
                         help="of CV Render (Cycles has 64)")  # fmt: skip
     parser.add_argument("--reference-samples", type=int, metavar="N", help="of half a reference")
     parser.add_argument("--scratch", type=Path, default=SCRATCH, help="keeps references and results")

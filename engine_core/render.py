@@ -22,6 +22,9 @@ from .transport.light_choice import CELL, LightChoice
 
 POLL_SECONDS = 0.05
 
+PREPARED_SAMPLES = 1024
+"""Samples whose points are prepared before the first pass; more are added as they are needed."""
+
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
 
@@ -91,10 +94,12 @@ def render(
 ) -> Film:
     """Render a scene. Returns the film, also when cancelled (`Film.stopped_by` says why it ended).
 
-    executor : runs the tiles; threads of this process if None.
+    executor : runs the tiles on threads of this process (they write into one film); its own if None.
     """
     try:
-        return _Render(scene, settings or Settings(), sink or Sink()).run(executor)
+        # What over- or underflows in a scene of extreme sizes is dealt with where it matters.
+        with np.errstate(all="ignore"):
+            return _Render(scene, settings or Settings(), sink or Sink()).run(executor)
     except MemoryError as error:
         raise RenderError(
             "not enough memory for this scene; use fewer or simpler instances, or a smaller picture"
@@ -160,9 +165,11 @@ class _Render:
         return "samples"
 
     def _pass(self, pool: Executor, tiles: list[_Tile], start: int, count: int) -> str | None:
-        self._points[0].prepare(start + count)
-        self._points[1].prepare((start + count) * self._split)
-        pending = {pool.submit(self._render_tile, tile, start, count): tile for tile in tiles}
+        # At once what most renders need in all: nets are not cheap to begin again.
+        needed = max(start + count, min(self._settings.samples, PREPARED_SAMPLES))
+        self._points[0].prepare(needed)
+        self._points[1].prepare(needed * self._split)
+        pending = {pool.submit(self._work, tile, start, count): tile for tile in tiles}
         ended = None
         try:
             while pending:
@@ -211,14 +218,21 @@ class _Render:
 
     # -- in the workers ----------------------------------------------------------------------------
 
-    def _render_tile(self, tile: _Tile, start: int, count: int) -> None:
-        """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
+    def _check(self) -> None:
         if self._stop.is_set():
             raise _Cancelled
+
+    def _work(self, tile: _Tile, start: int, count: int) -> None:
+        with np.errstate(all="ignore"):  # a state of each thread's own
+            self._render_tile(tile, start, count)
+
+    def _render_tile(self, tile: _Tile, start: int, count: int) -> None:
+        """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
+        self._check()
         pixels = tile.pixels()
         if not self._active[tile.blocks()].all():
             pixels = pixels[self._active[pixels.y // BLOCK, pixels.x // BLOCK]]
-        choice = tile.choice or self._integrand.choice_of_cells(*tile.cells())
+        choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
         if self._keep_choices:
             tile.choice = choice
         integrand = DirectLightOverTile(self._integrand, choice)
@@ -226,8 +240,7 @@ class _Render:
         film = self._film
 
         def after_first(part: slice, first: int, hits) -> None:
-            if self._stop.is_set():
-                raise _Cancelled
+            self._check()
             depth = hits.depth.reshape(part.stop - part.start, -1)
             if first == 0:
                 film.depth[row[part], column[part]] = np.minimum(depth[:, 0], FAR)
@@ -247,7 +260,8 @@ class _Render:
         mean = np.minimum(sums.values / count, LARGEST).astype(np.float32)
         before = film.combined[row, column].T
         if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
-            self._retire_blocks(pixels, before[:3], mean[:3])
+            channels = slice(0, 4 if self._settings.transparent else 3)
+            self._retire_blocks(pixels, before[channels], mean[channels])
         share = np.float32(count / (start + count))
         film.combined[row, column] = (before + (mean[:4] - before) * share).T
         if self._settings.normals:
@@ -259,7 +273,7 @@ class _Render:
         self._counts["non-finite samples"] += integrand.non_finite
 
     def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
-        """Stop blocks whose error is small enough, judged by two halves (3, B) of their samples.
+        """Stop blocks whose error is small enough, judged by two halves (C, B) of their samples.
 
         The difference of two independent halves has twice the standard deviation of their mean; for
         Sobol points it overestimates the error. The halves enter the picture too: docs/sampling.md

@@ -106,7 +106,7 @@ def test_light_that_no_pilot_sees_is_still_found():
     estimates = blocks(pictures(dataclasses.replace(dark, lights=many), SEEDS, samples=64))
     own = estimates.std(axis=0, ddof=1) / np.sqrt(SEEDS)
     error = np.sqrt(sum(estimate.var(axis=0, ddof=1) for estimate in alone) / 8)
-    assert (own < 0.1 * wanted).all()  # or nothing would be shown
+    assert (own < 0.25 * wanted).all()  # or nothing would be shown
     assert (np.abs(estimates.mean(axis=0) - wanted) < 4 * np.hypot(own, error)).all()
 
 

@@ -11,6 +11,7 @@ Every light's map is in `emitters`; the choice among lights is one more dimensio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,18 +139,22 @@ class DirectLight:
 
     # -- choosing among lights ---------------------------------------------------------------------
 
-    def choice_of_cells(self, cell_x: np.ndarray, cell_y: np.ndarray) -> LightChoice | None:
+    def choice_of_cells(
+        self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None] = lambda: None
+    ) -> LightChoice | None:
         """The light choice of K cells of the picture, None for at most one light.
 
-        cell_x, cell_y : (K,) numbered from the whole frame's corner.
+        cell_x, cell_y : (K,) numbered from the whole frame's corner. between : called now and then.
         """
         if len(self.lights) < 2:
             return None
         if len(self.lights) <= WEIGHED:
             return self._weighed
-        return CandidateLights(self.lights, self._pilot_irradiance(cell_x, cell_y))
+        return CandidateLights(self.lights, self._pilot_irradiance(cell_x, cell_y, between))
 
-    def _pilot_irradiance(self, cell_x: np.ndarray, cell_y: np.ndarray) -> np.ndarray:
+    def _pilot_irradiance(
+        self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None]
+    ) -> np.ndarray:
         """(K, L) irradiance at the hits of jittered pilot rays in each cell."""
         row, column = np.divmod(np.arange(PILOT_GRID**2), PILOT_GRID)
         step = np.float32(CELL / PILOT_GRID)
@@ -164,7 +169,7 @@ class DirectLight:
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
         normal.reshape(3, -1)[:, lanes] = points.normal
-        return mean_irradiance(self.lights, position, normal, found)
+        return mean_irradiance(self.lights, position, normal, found, between)
 
     # -- the two stages ----------------------------------------------------------------------------
 

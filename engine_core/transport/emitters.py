@@ -53,7 +53,7 @@ class Emitters:
         self.casts_shadow = np.array(casts_shadow, bool)
         self._brightness = (self.strength / 3).sum(axis=0)
         self.size = np.asarray(size, np.float64)
-        with np.errstate(divide="ignore", over="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             self._radiance = np.minimum(np.asarray(strength).T / self.size, _LARGEST).astype(np.float32)
 
     def __len__(self) -> int:

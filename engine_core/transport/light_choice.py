@@ -11,7 +11,7 @@ none is ever missed: the estimate is unbiased whatever the estimates are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -112,9 +112,10 @@ class CandidateLights:
         np.put_along_axis(alike, self._candidates, 0, axis=1)
         alike /= count - WEIGHED
         total = self._rest[:, None]
-        pdf = np.where(total > 0, 0.8 * rest / np.where(total > 0, total, 1) + 0.2 * alike, alike)
+        pdf = np.where(total > 0, 0.5 * rest / np.where(total > 0, total, 1) + 0.5 * alike, alike)
         self._pdf = pdf.astype(np.float32)
-        self._cdf = np.cumsum(pdf, axis=1).astype(np.float32)
+        cdf = np.cumsum(pdf, axis=1, dtype=np.float64)
+        self._cdf = cdf / cdf[:, -1:]
         self._chances = np.append(np.full(WEIGHED, 1 / count), 1 - WEIGHED / count)
 
     def choose(self, position, normal, cell, w) -> Choice:
@@ -135,13 +136,13 @@ class CandidateLights:
         light = np.append(self._candidates[cell], 0).take(slot)
         others = np.flatnonzero(slot == WEIGHED)
         if others.size:
-            cdf = self._cdf[cell]
-            chosen = np.searchsorted(cdf, w[others] * cdf[-1], side="right")
+            cdf, x = self._cdf[cell], w[others].astype(np.float64)
+            chosen = np.searchsorted(cdf, x, side="right")
             # Rounding may point at the table's end, or at a candidate, which has no part in it.
             chosen = np.minimum(chosen, int(np.flatnonzero(self._pdf[cell])[-1]))
             light[others] = chosen
             share = self._pdf[cell].take(chosen)
-            stretched = (w[others] * cdf[-1] - cdf.take(chosen)) / share + 1
+            stretched = (x - cdf.take(chosen)) / share + 1
             pdf[others] *= share
             w[others] = np.clip(stretched, 0, np.float32(1 - 2.0**-24))
         return light, pdf, w
@@ -184,13 +185,18 @@ def _joined(parts: list[Choice]) -> Choice:
 
 
 def mean_irradiance(
-    lights: Lights, position: np.ndarray, normal: np.ndarray, found: np.ndarray
+    lights: Lights,
+    position: np.ndarray,
+    normal: np.ndarray,
+    found: np.ndarray,
+    between: Callable[[], None] = lambda: None,
 ) -> np.ndarray:
     """(K, L) irradiance of every light over the pilots of each cell, 0 without any.
 
     The mean and the largest value in equal parts: a light that only a corner of the cell sees counts.
 
     position, normal : (3, K, P) float32, P pilots a cell. found : (K, P) bool, which of them hit.
+    between : called now and then; may raise, to give up.
     """
     cells, pilots = found.shape
     result = np.zeros((cells, len(lights)), np.float32)
@@ -198,6 +204,7 @@ def mean_irradiance(
     # Each cell is summed over its own pilots alone, in one order, so that its distribution is the same
     # whatever other cells it is computed with.
     for start in range(0, cells, step):
+        between()
         part = slice(start, start + step)
         where = (position[:, part].reshape(3, -1), normal[:, part].reshape(3, -1))
         estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots) * found[part]

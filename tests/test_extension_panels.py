@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels, drawn into a layout that only checks: all they show exists in this Blender."""
+
+from __future__ import annotations
+
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from extension_scenes import add_cube, add_light, furnished
+
+LIGHTS = ("POINT", "SPOT", "SUN", "AREA")
+
+
+@pytest.fixture
+def scene(cv: ModuleType) -> Any:
+    return furnished()
+
+
+class CheckingLayout:
+    """A layout whose properties and icons must exist."""
+
+    def __init__(self, shown: list[str]) -> None:
+        self.shown = shown
+
+    def _part(self, **_: Any) -> CheckingLayout:
+        return CheckingLayout(self.shown)
+
+    row = column = box = split = grid_flow = column_flow = _part
+
+    def separator(self, **_: Any) -> None:
+        pass
+
+    def prop(self, data: Any, name: str, **_: Any) -> None:
+        assert name in data.bl_rna.properties, f"{data!r} has no {name}"
+        self.shown.append(name)
+
+    def label(self, *, text: str = "", **_: Any) -> None:
+        self.shown.append(text)
+
+    def template_node_view(self, tree: Any, node: Any, socket: Any) -> None:
+        assert node.id_data == tree and socket.node == node
+        self.shown.append(socket.name)
+
+
+def draw(panel: type, context: Any) -> list[str]:
+    """What a panel shows, if it shows at all."""
+    import bpy
+
+    methods: dict[str, Any] = {}
+    for base in reversed(panel.__mro__):
+        if base is not object and not issubclass(bpy.types.Panel, base):
+            methods |= vars(base)
+    shown: list[str] = []
+    if not panel.poll(context):
+        return shown
+    own = {k: v for k, v in methods.items() if not k.startswith("__")}
+    if "draw_header" in own:
+        type("Panel", (), own | {"layout": CheckingLayout(shown)})().draw_header(context)
+    type("Panel", (), own | {"layout": CheckingLayout(shown)})().draw(context)
+    return shown
+
+
+def panels(cv: ModuleType) -> list[type]:
+    import bpy
+
+    own = cv.cv_render.panels.__name__
+    return [p for p in bpy.types.Panel.__subclasses__() if p.__module__.startswith(own)]
+
+
+def context_of(scene: Any, **data: Any) -> Any:
+    system = SimpleNamespace(ui_scale=1.0)
+    shared = {
+        "scene": scene,
+        "view_layer": scene.view_layers[0],
+        "engine": "CV_RENDER",
+        "preferences": SimpleNamespace(system=system),
+        "region": SimpleNamespace(width=300),
+    }
+    nothing = {"light": None, "world": None, "material": None, "object": None}
+    return SimpleNamespace(**nothing | shared | data)
+
+
+def test_render_panels_show_every_setting(cv: ModuleType, scene: Any) -> None:
+    shown = [name for panel in panels(cv) for name in draw(panel, context_of(scene))]
+    settings = {p.identifier for p in scene.cv_render.bl_rna.properties} - {"rna_type", "name"}
+    assert settings - set(shown) <= {"use_animated_seed"}
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_light_panels_show_what_the_light_has(cv: ModuleType, scene: Any, kind: str) -> None:
+    obj = add_light(scene, kind)
+    shown = [n for p in panels(cv) for n in draw(p, context_of(scene, light=obj.data, object=obj))]
+    assert {"energy", "color", "use_shadow", "visible_camera"} <= set(shown)
+    sizes = {"POINT": "shadow_soft_size", "SPOT": "spot_blend", "SUN": "angle", "AREA": "spread"}
+    assert sizes[kind] in shown
+
+
+def test_object_material_and_world_panels_are_there(cv: ModuleType, scene: Any) -> None:
+    import bpy
+
+    obj = add_cube(scene)
+    material = bpy.data.materials.new("Paint")
+    world = bpy.data.worlds.new("Sky")
+    for datablock in (material, world):
+        if bpy.app.version < (5, 0, 0):  # since then they always have nodes
+            datablock.use_nodes = True
+    shown = [
+        n for p in panels(cv) for n in draw(p, context_of(scene, object=obj, material=material, world=world))
+    ]
+    assert {"hide_render", "is_holdout", "visible_camera", "visible_shadow", "Surface"} <= set(shown)
+
+
+def test_nothing_shows_for_another_engine(cv: ModuleType, scene: Any) -> None:
+    other = context_of(scene)
+    other.engine = "CYCLES"
+    assert not any(draw(panel, other) for panel in panels(cv))

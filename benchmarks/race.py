@@ -169,9 +169,11 @@ def converged(size: int) -> int:
 
 def row(scene: str, size: int, curve: Curve, curves: dict[str, Curve]) -> list[str]:
     """The cells of one engine: what it does at Cycles' number of samples, and its time to Cycles' errors."""
-    seconds, error = curve.at(TARGET_SAMPLES)
-    rate = TARGET_SAMPLES * size**2 / seconds / 1e6
-    cells = [scene, f"{size} x {size}", curve.engine, f"{error:.4f}", f"{seconds:.2f}", f"{rate:.1f}"]
+    samples = TARGET_SAMPLES if TARGET_SAMPLES in curve.seconds else max(curve.seconds)
+    seconds, error = curve.at(samples)
+    rate = samples * size**2 / seconds / 1e6
+    shown = f"{error:.4f}" if samples == TARGET_SAMPLES else f"{error:.4f} ({samples} samples)"
+    cells = [scene, f"{size} x {size}", curve.engine, shown, f"{seconds:.2f}", f"{rate:.1f}"]
     for rival in (CYCLES, CYCLES_WITHOUT_TREE):
         time, goal = curves[rival.name].at(TARGET_SAMPLES)
         needed = curve.time_to(goal)

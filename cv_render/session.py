@@ -43,8 +43,24 @@ def render(engine: Any, depsgraph: Any) -> None:
 
 
 def _render(engine: Any, depsgraph: Any) -> None:
-    messages = Messages()
+    messages, of_core = Messages(), {}
     last_messages.clear()
+    for view in _views(depsgraph.scene_eval.render):
+        engine.active_view_set(view)
+        of_core |= dict.fromkeys(_render_view(engine, depsgraph, messages).messages)
+    _tell(engine, [*messages, *of_core])
+
+
+def _views(render: Any) -> list[str]:
+    """The names of the pictures that stereoscopy asks for; a plain picture's name is empty."""
+    if not render.use_multiview:
+        return [""]
+    views = render.stereo_views if render.views_format == "STEREO_3D" else render.views
+    return [view.name for view in views if view.use]
+
+
+def _render_view(engine: Any, depsgraph: Any, messages: Messages) -> Film:
+    """Export, render and write what the engine's active view sees."""
     settings = engine_settings(depsgraph.scene_eval, depsgraph.view_layer_eval)
     if not bpy.app.background:
         engine.update_stats("", "Exporting scene")
@@ -56,7 +72,7 @@ def _render(engine: Any, depsgraph: Any) -> None:
         sink.end()
     x0, y0, x1, y1 = scene.camera.region
     sink.write(film, 0, 0, x1 - x0, y1 - y0)
-    _tell(engine, [*messages, *film.messages])
+    return film
 
 
 class BlenderSink(Sink):

@@ -95,7 +95,7 @@ def add_floor(scene: Any, half: float = 5.0, z: float = -1.0, material: Any = No
 def add_cube(scene: Any, size: float = 1.0, material: Any = None, **placed: Any) -> Any:
     vertices = [tuple(size / 2 * v for v in corner) for corner in itertools.product((-1, 1), repeat=3)]
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return add_mesh(scene, "Cube", vertices, faces, material, **placed)
+    return add_mesh(scene, "Cube", vertices, faces, material or diffuse("Cube", (0.5, 0.5, 0.5)), **placed)
 
 
 def add_monkey(scene: Any, smooth: bool = True, material: Any = None) -> Any:

@@ -91,7 +91,7 @@ TOLERATED = {
     "lights without size": "for kind in ('AREA', 'SUN', 'SPOT'): add_light(scene, kind).scale = (0, 0, 0)",
     "lights without power": "add_light(scene, 'POINT', 0.0); add_light(scene, 'SPOT', -5.0)",
     "objects without size": "add_cube(scene).scale = (0, 0, 0)",
-    "objects without material": "add_cube(scene)",
+    "objects without material": "add_cube(scene).data.materials.clear()",
     "empty material slots": "add_cube(scene).data.materials.append(None)",
     "no world": "scene.world = None",
     "another object as camera": "scene.camera = scene.objects['Area']",

@@ -154,10 +154,10 @@ def test_view_layer_overrides_materials_and_samples(cv: ModuleType, scene: Any) 
 
 
 def test_object_without_material_is_grey(cv: ModuleType, scene: Any) -> None:
-    add_cube(scene)
+    add_cube(scene).data.materials.clear()
     exported, messages = export(cv)
     assert np.allclose(exported.materials[exported.meshes[0].materials].reflectance, 0.8)
-    assert not messages
+    assert messages == ['Object "Cube": has no material, it is rendered as diffuse grey']
 
 
 def test_visibility_of_objects_and_collections(cv: ModuleType, scene: Any) -> None:
@@ -363,7 +363,9 @@ def test_degenerate_objects_do_no_harm(cv: ModuleType, scene: Any) -> None:
     flat.scale = (1, 1, 0)
     add_mesh(scene, "Empty", [], [])
     add_mesh(scene, "Points", [(0, 0, 0), (1, 0, 0)], [])
-    add_mesh(scene, "Not a number", [(np.nan, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    add_mesh(
+        scene, "Not a number", [(np.nan, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)], diffuse("Grey", (1, 1, 1))
+    )
     add_light(scene, "SUN").scale = (0, 0, 0)
     add_light(scene, "AREA").scale = (0, 0, 0)
     exported, messages = export(cv)

@@ -108,6 +108,19 @@ def test_each_view_layer_is_a_picture_of_its_own(cv: ModuleType, scene: Any, tmp
     assert not channels["Red.Combined.G"].any() and channels["Red.Combined.R"].any()
 
 
+def test_each_eye_has_a_picture_of_its_own(scene: Any, tmp_path: Path) -> None:
+    import bpy
+    import OpenEXR
+
+    scene.render.use_multiview = True
+    scene.render.image_settings.views_format = "INDIVIDUAL"
+    scene.render.filepath = str(tmp_path / "eye")
+    bpy.ops.render.render(write_still=True)
+    files = (OpenEXR.File(str(tmp_path / f"eye_{side}.exr"), separate_channels=True) for side in "LR")
+    left, right = (file.channels()["R"].pixels for file in files)
+    assert left.any() and right.any() and not np.allclose(left, right, atol=0.01)
+
+
 def test_animation_is_its_single_frames_bit_for_bit(scene: Any, tmp_path: Path) -> None:
     import bpy
 

@@ -44,6 +44,12 @@ class Placed:
     slots: np.ndarray
     matrices: list[Any] = field(default_factory=list)
 
+    @property
+    def materials(self) -> np.ndarray:
+        """() or (T,) int32: the scene's number of the material of one instance's triangles."""
+        # An index beyond the slots means the last one, as in Cycles.
+        return self.slots[np.clip(self.mesh.slots, 0, len(self.slots) - 1)]
+
     def bytes_needed(self) -> int:
         mesh, each = self.mesh, self.mesh.vertices.nbytes + self.mesh.triangles.nbytes
         each += len(mesh.triangles) * (TRACED_TRIANGLE_BYTES + 4 * np.ndim(mesh.slots))
@@ -62,8 +68,7 @@ class Placed:
         if mesh.normals is not None:
             table = _unit(_transformed(mesh.normals, _normal_matrices(matrices)))
             normals = table.take(_repeated(mesh.normal_indices, count, len(mesh.normals), mirrored), axis=0)
-        # An index beyond the slots means the last one, as in Cycles.
-        materials = self.slots[np.clip(mesh.slots, 0, len(self.slots) - 1)]
+        materials = self.materials
         return Mesh(
             vertices=_transformed(mesh.vertices, matrices[:, :3]),
             triangles=triangles,

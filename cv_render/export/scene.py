@@ -95,9 +95,9 @@ class Objects:
         looks = Looks(visible, casts_shadow, holdout, terminator_offset(obj))
         key = (obj.data.as_pointer(), slots, looks)
         if key not in self._groups:
-            self._check_unsupported(obj)
             mesh = read_mesh(obj.data)
             self._groups[key] = mesh and Placed(obj.name, mesh, looks, np.array(slots, np.int32))
+            self._check(obj, self._groups[key])
         group = self._groups[key]
         if group is not None:
             group.matrices.append(instance.matrix_world.copy())
@@ -117,7 +117,12 @@ class Objects:
         slots = [slot.material for slot in obj.material_slots] or [None]
         return tuple(self.materials.number(override or material) for material in slots)
 
-    def _check_unsupported(self, obj: Any) -> None:
+    def _check(self, obj: Any, group: Placed | None) -> None:
+        """Name what will not look as it should."""
+        if group is None:
+            return
+        if not group.materials.all():
+            self._messages.add(named(obj), "has no material, it is rendered as diffuse grey")
         if obj.is_shadow_catcher:
             self._messages.add(named(obj), "shadow catchers are not supported yet, it is an ordinary object")
         self._check_linking(obj)

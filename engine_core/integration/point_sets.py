@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from .sobol import hash_combine, mix, owen_scramble, sobol, unit_float
+from .sobol import MAX_DIMENSIONS, hash_combine, mix, owen_scramble, sobol, unit_float
 
 
 class PointSet(Protocol):
@@ -24,7 +24,7 @@ class PointSet(Protocol):
         """Make ready for the first ``count`` points of every bin; from one thread, before ``points``."""
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
-        """Points ``start`` to ``start + count`` of each bin: (D, B, count) float32 in (0, 1).
+        """Points ``start`` to ``start + count`` of each bin: (D, B, count) in the open (0, 1).
 
         keys : (B,) uint32, one for each bin.
         """
@@ -40,9 +40,22 @@ class SobolPoints:
     correlates it with the others.
     """
 
-    def __init__(self, dimensions: Sequence[int], seed: int, group: int, shuffled: bool = False) -> None:
-        """dimensions : which of the Sobol sequence's. group : another number, another scrambling."""
-        self._dimensions = tuple(dimensions)
+    def __init__(
+        self,
+        dimensions: Sequence[int],
+        seed: int,
+        group: int,
+        shuffled: bool = False,
+        dtype: type = np.float32,
+    ) -> None:
+        """dimensions : which of the Sobol sequence's; those beyond its last are pseudo-random.
+
+        group : another number, another scrambling. dtype : float32 or float64.
+        """
+        dimensions = tuple(dimensions)
+        self._dimensions = tuple(d for d in dimensions if d < MAX_DIMENSIONS)
+        self._random = RandomPoints(len(dimensions) - len(self._dimensions), seed, group + 1000, dtype)
+        self._dtype = dtype
         self._shuffled = shuffled
         self._seeds = [int(hash_combine(seed, group, d)[0]) for d in range(len(self._dimensions) + 1)]
         self._net = np.empty((len(self._dimensions), 0), np.uint32)
@@ -52,34 +65,34 @@ class SobolPoints:
             index = np.arange(1 << (count - 1).bit_length(), dtype=np.uint32)
             if self._shuffled:
                 index = owen_scramble(index, self._seeds[-1])
-            self._net = np.stack(
-                [
-                    owen_scramble(sobol(index, d), seed)
-                    for d, seed in zip(self._dimensions, self._seeds, strict=False)
-                ]
-            )
+            self._net = np.empty((len(self._dimensions), len(index)), np.uint32)
+            for row, d, seed in zip(self._net, self._dimensions, self._seeds, strict=False):
+                row[:] = owen_scramble(sobol(index, d), seed)
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
         net = self._net[:, start : start + count]
-        out = np.empty((len(net), len(keys), count), np.float32)
+        others = self._random.points(keys, start, count)
+        out = np.empty((len(net) + len(others), len(keys), count), self._dtype)
         for row, coordinates, seed in zip(out, net, self._seeds, strict=False):
             shift = mix(keys ^ np.uint32(seed))
-            row[:] = unit_float(coordinates ^ shift[:, None])
+            row[:] = unit_float(coordinates ^ shift[:, None], self._dtype)
+        out[len(net) :] = others
         return out
 
 
 class RandomPoints:
     """Independent pseudo-random points, from a hash of bin, dimension and sample number."""
 
-    def __init__(self, dimensions: int, seed: int, group: int) -> None:
-        """dimensions : how many. group : another number, other points."""
+    def __init__(self, dimensions: int, seed: int, group: int, dtype: type = np.float32) -> None:
+        """dimensions : how many. group : another number, other points. dtype : float32 or float64."""
+        self._dtype = dtype
         self._seeds = [int(hash_combine(seed, group, d, 1)[0]) for d in range(dimensions)]
 
     def prepare(self, count: int) -> None:
         pass
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
-        out = np.empty((len(self._seeds), len(keys), count), np.float32)
+        out = np.empty((len(self._seeds), len(keys), count), self._dtype)
         weyl = np.arange(start, start + count, dtype=np.uint32) * np.uint32(0x9E3779B9)
         for d, seed in enumerate(self._seeds):
             first = mix(keys ^ np.uint32(seed))
@@ -91,22 +104,21 @@ class RandomPoints:
             x ^= x >> np.uint32(15)
             x *= np.uint32(0x846CA68B)
             x ^= x >> np.uint32(16)
-            out[d] = unit_float(x)
+            out[d] = unit_float(x, self._dtype)
         return out
 
 
 def staged_points(
-    integrator: str, screen: int, rest: int, split: int, seed: int
+    integrator: str, screen: int, rest: int, split: int, seed: int, dtype: type = np.float32
 ) -> tuple[PointSet, PointSet]:
     """Points for ``screen`` dimensions and for ``rest`` ones, of which a screen point gets ``split``.
 
-    The rest's last two dimensions are where most of the variance is (a point on a light), so they
-    get the pair of Sobol dimensions that measures best there.
+    The sequence's first dimensions are its best, so an integrand's come in the order of the variance
+    that they carry: a point on a light before the choice of the light.
     """
     if integrator == "monte_carlo":
-        return RandomPoints(screen, seed, 0), RandomPoints(rest, seed, 1)
-    first = range(screen)
+        return RandomPoints(screen, seed, 0, dtype), RandomPoints(rest, seed, 1, dtype)
+    first = SobolPoints(range(screen), seed, 0, dtype=dtype)
     if split == 1:
-        best, others = (screen, screen + 1), range(screen + 2, screen + rest)
-        return SobolPoints(first, seed, 0), SobolPoints([*others, *best], seed, 1)
-    return SobolPoints(first, seed, 0), SobolPoints([*range(2, rest), 0, 1], seed, 1, shuffled=True)
+        return first, SobolPoints(range(screen, screen + rest), seed, 1, dtype=dtype)
+    return first, SobolPoints(range(rest), seed, 1, shuffled=True, dtype=dtype)

@@ -5,37 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from .integrand import FirstStage, StagedIntegrand
 from .point_sets import PointSet
-
-
-class FirstStage(Protocol):
-    """What an integrand keeps of its first dimensions.
-
-    values : (C, B * S) what needs no further dimension.
-    lane : (M,) ascending, the points that the rest has to be evaluated at; None for all.
-    """
-
-    values: np.ndarray
-    lane: np.ndarray | None
-
-
-class StagedIntegrand(Protocol):
-    """A function on the unit cube, split where an expensive first part serves many points of the rest."""
-
-    def first(self, bins: Any, u: np.ndarray) -> FirstStage:
-        """u : (D1, B, S) points of B bins."""
-        ...
-
-    def rest(self, stage: FirstStage, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values at u (D2, M, split), already divided by split, where they are not 0.
-
-        Returns (K,) rows of the stage's M lanes, in any order and repeated, and (C', K), C' <= C.
-        """
-        ...
 
 
 @dataclass
@@ -76,21 +51,36 @@ def sum_samples(
             stage = integrand.first(bins[part], points[0].points(keys[part], first, n))
             if after_first is not None:
                 after_first(part, first, stage)
-            if total is None:
-                total = np.zeros((len(stage.values), len(keys)))
             bins_here = part.stop - part.start
-            # Not reduced along the axis: einsum is several times faster for short runs.
-            values = stage.values.reshape(len(stage.values), bins_here, n)
-            total[:, part] += np.einsum("cbn->cb", values)
+            if stage.values is not None:
+                total = _zeros(total, len(stage.values), len(keys))
+                # Not reduced along the axis: einsum is several times faster for short runs.
+                values = stage.values.reshape(len(stage.values), bins_here, n)
+                total[:, part] += np.einsum("cbn->cb", values)
+            if not integrand.rest_dimensions:
+                continue
             u = points[1].points(keys[part], first * split, n * split)
             u = u.reshape(len(u), bins_here * n, split)
             lane = stage.lane
             if lane is not None:
                 u = u.take(lane, axis=1)
-            row, values = integrand.rest(stage, u)
+            found, values = integrand.rest(stage, None, u)
+            total = _zeros(total, len(values), len(keys))
+            if found is None and lane is None:
+                values = values.reshape(len(values), bins_here, n * split)
+                total[: len(values), part] += np.einsum("cbn->cb", values, dtype=np.float64) / split
+                continue
+            row = np.arange(u.shape[1] * split) if found is None else found
+            if split > 1:
+                row = row // split
             if n > 1 or lane is not None:
                 bin_of_row = (np.arange(bins_here * n) if lane is None else lane) // n
                 row = bin_of_row.take(row)
             for channel, value in zip(total, values, strict=False):
-                channel[part] += np.bincount(row, value, minlength=bins_here)
+                sums = np.bincount(row, value, minlength=bins_here)
+                channel[part] += sums if split == 1 else sums / split
     return Sums(total, count)
+
+
+def _zeros(total: np.ndarray | None, channels: int, bins: int) -> np.ndarray:
+    return np.zeros((channels, bins)) if total is None else total

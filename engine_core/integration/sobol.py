@@ -12,7 +12,7 @@ import numpy as np
 
 BITS = 32
 
-# (degree, coefficients, initial values) of dimensions 1 to 9; dimension 0 is van der Corput's.
+# (degree, coefficients, initial values) of dimensions 1 to 15; dimension 0 is van der Corput's.
 _JOE_KUO = (
     (1, 0, (1,)),
     (2, 1, (1, 3)),
@@ -23,6 +23,12 @@ _JOE_KUO = (
     (5, 2, (1, 1, 5, 5, 17)),
     (5, 4, (1, 1, 5, 5, 5)),
     (5, 7, (1, 1, 7, 11, 19)),
+    (5, 11, (1, 1, 5, 1, 1)),
+    (5, 13, (1, 1, 1, 3, 11)),
+    (5, 14, (1, 3, 5, 5, 31)),
+    (6, 1, (1, 3, 3, 9, 7, 49)),
+    (6, 13, (1, 1, 1, 15, 21, 21)),
+    (6, 16, (1, 3, 1, 13, 27, 49)),
 )
 MAX_DIMENSIONS = len(_JOE_KUO) + 1
 
@@ -83,6 +89,8 @@ def owen_scramble(x: np.ndarray, seed: int) -> np.ndarray:
     return x ^ flips
 
 
-def unit_float(x: np.ndarray) -> np.ndarray:
-    """32-bit fractions as float32 in the open interval (0, 1): cell centres, never 0 nor 1."""
+def unit_float(x: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+    """32-bit fractions as float32 or float64 in the open interval (0, 1): cell centres, never 0 nor 1."""
+    if dtype == np.float64:
+        return (x + 0.5) * 2.0**-32
     return (x >> np.uint32(9)).astype(np.float32) * np.float32(2.0**-23) + np.float32(2.0**-24)

@@ -2,7 +2,7 @@
 """Direct illumination as a staged function of primary space.
 
     first : (screen 2)            -> camera hits, and what is seen without another dimension
-    rest  : (light choice 1, light 2) -> radiance reflected at those hits
+    rest  : (light 2, light choice 1) -> radiance reflected at those hits
 
     L_o = integral over the lights of f L_e V cos cos' / d^2 dA      (thesis eq. 5.1)
 
@@ -85,12 +85,12 @@ class CameraHits:
 
 @dataclass(eq=False)
 class Reflected:
-    """Light samples that arrive: row (K,) of the hits, radiance (3, K) already divided by S.
+    """Light samples that arrive: which (K,) of the N, and their radiance (3, K).
 
     shadow_rays : how many rays that took. non_finite : samples that were not finite, and count as 0.
     """
 
-    row: np.ndarray
+    which: np.ndarray
     radiance: np.ndarray
     shadow_rays: int
     non_finite: int
@@ -216,31 +216,40 @@ class DirectLight:
             cell = rows if points.lane is None else rows.take(points.lane)
         return CameraHits(values, points, depth, cell)
 
-    def rest(self, hits: CameraHits, u: np.ndarray, choice: LightChoice | None) -> Reflected:
-        """Reflected radiance at the M hits, for S samples each.
+    def rest(
+        self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray, choice: LightChoice | None
+    ) -> Reflected:
+        """Reflected radiance at u (3, M, S), S points for each of the M hits.
 
-        u : (3, M, S) light choice and two dimensions on the light.
+        u : two dimensions on the light, and the light choice; (3, N) for hits ``lane`` (N,).
         """
         points = hits.points
-        split = u.shape[2]
         if len(self.lights) == 0 or u.size == 0:
             return Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
+        split = u.shape[2] if lane is None else 1
+        at = lane if split == 1 else np.repeat(np.arange(len(points)), split)
+        order = None
         if len(self.lights) == 1:
             light = None
-            at = None if split == 1 else np.repeat(np.arange(len(points)), split)
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
             u = u.reshape(3, -1)
-            to_light, weight = self.emitters[0].sample(None, position, normal, u[0], u[1:])
+            to_light, weight = self.emitters[0].sample(None, position, normal, u[2], u[:2])
             at_infinity, is_mesh = self.emitters[0].at_infinity, self.emitters[0].is_mesh
         else:
-            light, pdf, w = choice.choose(points.position, points.normal, hits.cell, u[0])
+            if lane is None:
+                position, normal, cell = points.position, points.normal, hits.cell
+            else:
+                position, normal = take(points.position, lane), take(points.normal, lane)
+                cell = None if hits.cell is None else hits.cell.take(lane)
+            light, pdf, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._light_number), kind="stable")
             light, pdf, w = light.take(order), pdf.take(order), w.take(order)
-            at = order if split == 1 else order // split
+            at = order if at is None else at.take(order)
             position, normal = take(points.position, at), take(points.normal, at)
-            u = take(u[1:].reshape(2, -1), order)
-            to_light, weight, at_infinity, is_mesh = self._sample_sorted(light, position, normal, w, u)
+            to_light, weight, at_infinity, is_mesh = self._sample_sorted(
+                light, position, normal, w, take(u[:2].reshape(2, -1), order)
+            )
             weight /= pdf
         cosine = dot(normal, to_light)
         cosine /= np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-37)))
@@ -259,6 +268,9 @@ class DirectLight:
             at = lit
         visible = np.flatnonzero(self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light))
         shadow_rays = at.size
+        which = lit.take(visible)
+        if order is not None:
+            which = order.take(which)
         at, weight = at.take(visible), weight.take(visible)
         colour = self._strength if light is None else take(self._strength, light.take(visible))
         if self._one_material:
@@ -267,9 +279,7 @@ class DirectLight:
             material = self._surfaces.triangles.material.take(points.triangle.take(at))
             radiance = take(self._reflectance, material) * colour
             radiance *= weight
-        if split > 1:
-            radiance *= np.float32(1 / split)
-        return Reflected(at, radiance, shadow_rays, bad)
+        return Reflected(which, radiance, shadow_rays, bad)
 
     def _sample_sorted(self, light, position, normal, w, u):
         """Samples of lights in ascending order, kind after kind."""
@@ -315,6 +325,9 @@ class DirectLightOverTile:
     camera_rays, shadow_rays, non_finite : counts so far.
     """
 
+    rest_dimensions = DirectLight.rest_dimensions
+    staged = True
+
     def __init__(self, integrand: DirectLight, choice: LightChoice | None) -> None:
         self._integrand = integrand
         self._choice = choice
@@ -324,11 +337,13 @@ class DirectLightOverTile:
         self.camera_rays += u[0].size
         return self._integrand.first(pixels, u)
 
-    def rest(self, hits: CameraHits, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        reflected = self._integrand.rest(hits, u, self._choice)
+    def rest(
+        self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        reflected = self._integrand.rest(hits, lane, u, self._choice)
         self.shadow_rays += reflected.shadow_rays
         self.non_finite += reflected.non_finite
-        return reflected.row, reflected.radiance
+        return reflected.which, reflected.radiance
 
 
 def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:

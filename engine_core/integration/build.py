@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Spending the control variate's part of the budget: which roots, which splits, and when to give up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from .inner_rules import InnerRule
+from .integrand import StagedIntegrand, values_at
+from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, face_weights
+
+LARGEST_ROOT = 6
+"""log2 of the longest root edge in bins."""
+
+SWEEP = 0.25
+"""The part of the regions, the worst, that one batch halves: no worse than one at a time (CORE.md)."""
+
+HOPELESS = 0.7
+"""Part of the integrand's variance that a polynomial must explain less than to be given up."""
+
+BATCH = 16384
+"""Evaluations at once, about: what fits the cache."""
+
+
+class NodeEvaluator:
+    """Values of an integrand at nodes, on all workers.
+
+    evaluations : so far, inner points counted.
+    """
+
+    def __init__(
+        self,
+        integrand: StagedIntegrand,
+        bins: tuple[int, ...],
+        bins_at: Callable[[np.ndarray], Any],
+        dimensions: int,
+        inner: InnerRule | None,
+        seed: int,
+        map_: Callable[[Callable, Iterable], list],
+    ) -> None:
+        """bins_at : index (K, N) -> the integrand's bins. dimensions : m, those of the tree."""
+        self._integrand = integrand
+        self._bins = bins
+        self._bins_at = bins_at
+        self._covered = dimensions
+        self._inner = inner
+        self._seed = seed
+        self._map = map_
+        self.cost = inner.count if inner else 1
+        self.evaluations = 0
+
+    def __call__(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Nodes at place (m, N), in lattice units: values (C, N), spread (N,) or None."""
+        order = None
+        if self._integrand.staged and self._covered > len(self._bins):
+            # Nodes that differ in the rest alone share a first stage, if they are in one batch.
+            key = np.einsum("dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)])
+            order = np.argsort(key, kind="stable")
+            place = place[:, order]
+        step = max(1, BATCH // self.cost)
+        parts = [place[:, low : low + step] for low in range(0, place.shape[1], step)]
+        results = self._map(self._evaluate, parts)
+        values = np.concatenate([r[0] for r in results], axis=1)
+        spread = np.concatenate([r[1] for r in results]) if self._inner else None
+        self.evaluations += sum(r[2] for r in results)
+        if order is not None:
+            values[:, order] = values.copy()
+            if spread is not None:
+                spread[order] = spread.copy()
+        return values, spread
+
+    def _evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, int]:
+        k = len(self._bins)
+        screen, lanes = place[:k], np.arange(place.shape[1])
+        if self._integrand.staged and self._covered > k:
+            first = np.flatnonzero(np.append(True, (np.diff(screen, axis=1) != 0).any(axis=0)))
+            lanes = np.repeat(np.arange(len(first)), np.diff(np.append(first, place.shape[1])))
+            screen = screen[:, first]
+        cell = np.minimum(screen >> BIN, np.array(self._bins)[:, None] - 1)
+        u = np.ldexp((screen - (cell << BIN)).astype(np.float64), -BIN)
+        stage = self._integrand.first(self._bins_at(cell), u[:, :, None])
+        rest = np.ldexp(place[k:].astype(np.float64), -WHOLE)
+        points, lane = screen.shape[1], None if len(lanes) == screen.shape[1] else lanes
+        if self._inner is None:
+            return values_at(self._integrand, stage, points, lane, rest), None, place.shape[1]
+        return self._inner.integrate(self._integrand, stage, points, lanes, rest, self._seed)
+
+
+def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | None:
+    """log2 of the roots' edge in bins: as short as a small part of ``budget`` nodes allows; None if none is."""
+
+    def cost(log: int) -> float:
+        return 3.0**dimensions * float(np.prod([-(-n >> log) + log * ((n & ((1 << log) - 1)) > 0) for n in bins]))
+
+    fitting = [log for log in range(LARGEST_ROOT + 1) if cost(log) <= budget]
+    if not fitting:
+        return None
+    cheap = [log for log in fitting if cost(log) <= budget / 64]
+    return min(cheap) if cheap else min(fitting, key=lambda log: (cost(log), log))
+
+
+def grow(
+    tree: RegionTree, evaluator: NodeEvaluator, budget: float, samples: float, max_regions: int
+) -> bool:
+    """Halve the worst regions until ``budget`` evaluations are spent; False if no polynomial helps.
+
+    samples : residual samples to come, in all; no region is halved that would hold less than one.
+    """
+    checked = False
+    while evaluator.evaluations < budget and len(tree) < max_regions:
+        left = (budget - evaluator.evaluations) / (evaluator.cost * tree.cost_of_split)
+        splits = int(min(max(8, len(tree) * SWEEP), max(left, 1), max_regions - len(tree)))
+        if not tree.sweep(splits, 1 / max(samples, 1)):
+            break
+        if not checked and evaluator.evaluations > budget / 8 and len(tree) >= 64:
+            checked = True
+            if unexplained(tree) > HOPELESS:
+                return False
+    return unexplained(tree) <= HOPELESS
+
+
+def unexplained(tree: RegionTree) -> float:
+    """The part of the integrand's variance that is left to the residual, as the nodes see it."""
+    regions, values = tree.leaves(), tree.store.values
+    weights = face_weights(tree.dimensions)
+    mean, square = np.zeros(len(values)), np.zeros(len(values))
+    step = max(1, (1 << 20) // len(weights))
+    for low in range(0, len(regions), step):
+        part = slice(low, low + step)
+        for c, channel in enumerate(values):
+            v = channel.take(regions.nodes[part]).astype(np.float64)
+            mean[c] += regions.volume[part] @ (v @ weights)
+            square[c] += regions.volume[part] @ ((v * v) @ weights)
+    variance = float(np.maximum(square - mean * mean, 0).sum())
+    left = float(regions.volume @ regions.density**2)
+    return left / variance if variance > 0 else 0.0

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adaptive control variates: approximate by polynomials, integrate these exactly, sample the difference.
+
+    I_b = H_b + E[f - h]
+
+(thesis eq. 2.14; M. Crespo, A. Jarabo, A. Munoz et al., "Primary-Space Adaptive Control Variates using
+Piecewise-Polynomial Approximations", ACM TOG 40(3), 2021). docs/method.md tells what is ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from .allocation import sample_counts
+from .build import NodeEvaluator, grow, root_edge
+from .control_variate import ControlVariate, TileOfRegions
+from .inner_rules import InnerRule, Net
+from .monte_carlo import sampled
+from .point_sets import staged_points
+from .problem import Problem
+from .regions import RegionTree
+from .residual import ResidualSampler
+from .result import Result
+from .standard_error import Spread, standard_error
+
+MOST_DIMENSIONS = 4
+"""Dimensions that the polynomial covers unless told otherwise: 3^4 nodes a region."""
+
+
+@dataclass(frozen=True)
+class ControlVariates:
+    """The default method. Unbiased, but for ``residual=False``.
+
+    cv_dims : dimensions of the polynomial, from the bins' own to all; None for all, up to four.
+    inner : how a node integrates the other dimensions; None for a net of 16 points.
+    residual : False leaves H alone, all samples spent on it: biased by what the polynomials miss, which
+        docs/method.md measures; for previews and for study.
+    share : of the samples, spent on the polynomials.
+    defensive : of the residual samples, spread evenly over the bins.
+    chance : the smallest probability to sample a bin at all, where less than one sample is due.
+    max_regions, max_overlaps : limits of memory: 4 * 3^cv_dims + 30 + 8 (C + 3) bytes a region or so,
+        and 60 bytes for each overlap of a region with a bin, in the tiles at work.
+    """
+
+    cv_dims: int | None = None
+    inner: InnerRule | None = None
+    residual: bool = True
+    share: float = 0.25
+    defensive: float = 0.1
+    chance: float = 1 / 16
+    max_regions: int = 4_000_000
+    max_overlaps: int = 4_000_000
+
+    def estimate(self, problem: Problem) -> Result:
+        bins, ndim = problem.bins, problem.ndim
+        covered = self.cv_dims or max(len(bins), min(ndim, MOST_DIMENSIONS))
+        if not len(bins) <= covered <= ndim:
+            raise ValueError(f"cv_dims is {self.cv_dims}, wanted {len(bins)} to {ndim}")
+        inner = None if covered == ndim else self.inner or Net(16)
+        begin = perf_counter()
+        evaluator = NodeEvaluator(
+            problem.integrand, bins, problem.cells, covered, inner, problem.seed, problem.pool.map
+        )
+        total = problem.samples * float(np.prod(bins))
+        budget = total * (self.share if self.residual else 1.0)
+        log_edge = root_edge(bins, covered, budget / evaluator.cost)
+        helps = log_edge is not None
+        if helps:
+            tree = RegionTree(bins, covered, log_edge, evaluator)
+            helps = grow(tree, evaluator, budget, total, self.max_regions) or not self.residual
+        if not helps:
+            if not self.residual:
+                raise ValueError(f"{problem.samples} samples a bin are too few for a single region of nodes")
+            left = problem.samples - evaluator.evaluations / float(np.prod(bins))
+            result = sampled(problem, "sobol", left)
+            result.statistics["regions given up"] = 0 if log_edge is None else len(tree)
+            return result
+        built = perf_counter()
+        return self._integrate(problem, tree, log_edge, covered, total - evaluator.evaluations, begin, built)
+
+    def _integrate(self, problem, tree, log_edge, covered, samples, begin, built) -> Result:
+        bins = problem.bins
+        variate = ControlVariate(tree, log_edge, self.max_overlaps)
+        shape = (len(tree.store.values), *bins)
+        h, error = np.zeros(shape), np.zeros(bins)
+
+        def prepare(number: int) -> TileOfRegions:
+            tile = variate.tile(number)
+            mean, deviation = tile.means(variate.spread)
+            h[(slice(None), *tile.index)], error[tuple(tile.index)] = mean, deviation
+            return tile
+
+        tiles = problem.pool.map(prepare, range(len(variate)))
+        integrated = perf_counter()
+        residual, count = np.zeros(shape), np.zeros(bins, np.int64)
+        spread, chance = Spread.zeros(shape[0], error.size), np.ones(error.size)
+        if self.residual:
+            due, chance = sample_counts(error.ravel(), samples, self.defensive, self.chance)
+            drawn = _drawn(chance, problem.seed)
+            due, chance = (due * drawn).reshape(bins), chance.reshape(bins)
+            points = staged_points(
+                "sobol", len(bins), problem.ndim - len(bins), 1, problem.seed + 1, np.float64
+            )
+            for group in points:
+                group.prepare(int(due.max()) if due.max() > 0 else 1)
+            sampler = ResidualSampler(points, covered)
+            numbers = np.arange(error.size).reshape(bins)
+
+            def sample(tile: TileOfRegions) -> None:
+                where = tuple(tile.index)
+                mean, noise = sampler.sample(
+                    problem.integrand,
+                    problem.cells(tile.index),
+                    problem.keys(tile.index),
+                    tile,
+                    tile.density(variate.spread),
+                    error[where],
+                    due[where],
+                    chance[where],
+                )
+                residual[(slice(None), *where)] = mean
+                spread.store(numbers[where], noise)
+
+            problem.pool.map(sample, tiles)
+            count, chance = due, chance.ravel()
+            known = standard_error(spread, count.ravel(), bins, error.ravel(), chance).reshape(shape)
+        else:
+            known = np.broadcast_to(error, shape).copy()
+        end = perf_counter()
+        return Result(
+            h + residual,
+            known,
+            h,
+            residual,
+            count,
+            problem.integrand.evaluations,
+            problem.integrand.non_finite,
+            len(tree),
+            {
+                "seconds building": built - begin,
+                "seconds integrating": integrated - built,
+                "seconds sampling": end - integrated,
+                "nodes": tree.store.count,
+                "splits": tree.splits,
+                "sweeps": tree.sweeps,
+                "tiles": len(tiles),
+            },
+        )
+
+
+def _drawn(chance: np.ndarray, seed: int) -> np.ndarray:
+    """(B,) whether a bin is sampled: with its chance, and of their sum's bins to within one."""
+    if (chance >= 1).all():
+        return np.ones(len(chance), bool)
+    running = np.cumsum(chance) + np.random.default_rng([seed & 0xFFFFFFFF, 7]).random()
+    return np.diff(np.floor(running), prepend=np.floor(running[0] - chance[0])) > 0

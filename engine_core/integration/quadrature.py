@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Nested adaptive quadrature: no noise along the rest dimensions, no promise of being right either.
+
+After A. Munoz, "Higher Order Ray Marching", Computer Graphics Forum 33(8), 2014: Simpson's rule and
+the trapezoidal rule on the same nodes, whose difference decides what is bisected. Here for all lanes
+(a camera hit, a point of a bin) at once, with boxes instead of intervals for several dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .integrand import FirstStage, StagedIntegrand
+from .point_sets import SobolPoints
+from .result import Result
+from .rules import SIMPSON
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+TRAPEZOID = np.array([1.0, 0.0, 1.0]) / 2
+
+_BATCH = 32768  # points evaluated at once: larger ones leave the cache
+_LIMIT = 1 << 21  # node values held of one set of boxes, beyond which its lanes are done in halves
+
+
+def nested_rules(dimensions: int) -> np.ndarray:
+    """(1 + D, 3^D) weights: Simpson's rule in all dimensions, then with the trapezoidal one in each."""
+    rules = []
+    for trapezoid in range(-1, dimensions):
+        weights = np.ones(1)
+        for d in range(dimensions):
+            weights = np.multiply.outer(weights, TRAPEZOID if d == trapezoid else SIMPSON).ravel()
+        rules.append(weights)
+    return np.stack(rules)
+
+
+def tensor_points(coordinates: list[np.ndarray]) -> np.ndarray:
+    """(D, product of the sizes) points of a tensor grid in [0, 1]^D, the last dimension fastest."""
+    return np.stack(np.meshgrid(*coordinates, indexing="ij")).reshape(len(coordinates), -1)
+
+
+def grid_nodes(dimensions: int) -> np.ndarray:
+    """(D, 3^D) nodes of the rule in the unit cube."""
+    return tensor_points([np.array([0, 0.5, 1])] * dimensions)
+
+
+def new_nodes(dimensions: int, split: int) -> np.ndarray:
+    """(D, 2 * 3^(D-1)) nodes that halving in dimension ``split`` adds, in the parent's coordinates."""
+    coordinates = [np.array([0, 0.5, 1])] * dimensions
+    coordinates[split] = np.array([0.25, 0.75])
+    return tensor_points(coordinates)
+
+
+def halves(nodes: np.ndarray, new: np.ndarray, dimensions: int, split: int) -> tuple[np.ndarray, np.ndarray]:
+    """Node values of both children, each (..., 3^D, N), from the parent's and from the ``new_nodes``'."""
+    apart = (*nodes.shape[:-2], 3**split, -1, 3 ** (dimensions - 1 - split), nodes.shape[-1])
+    p, n = nodes.reshape(apart), new.reshape(apart)
+    low = np.concatenate([p[..., :1, :, :], n[..., :1, :, :], p[..., 1:2, :, :]], axis=-3)
+    high = np.concatenate([p[..., 1:2, :, :], n[..., 1:, :, :], p[..., 2:, :, :]], axis=-3)
+    return low.reshape(nodes.shape), high.reshape(nodes.shape)
+
+
+@dataclass
+class _Boxes:
+    """N boxes of the rest dimensions' cube, each of one lane.
+
+    lane (N,); low, size (D, N) exact binary fractions; nodes (C, 3^D, N) values;
+    value (C, N), error (N,) of their integrals; worst (N,) the dimension of the largest nested error.
+    """
+
+    lane: np.ndarray
+    low: np.ndarray
+    size: np.ndarray
+    nodes: np.ndarray
+    value: np.ndarray
+    error: np.ndarray
+    worst: np.ndarray
+
+    @classmethod
+    def of(cls, lane: np.ndarray, low: np.ndarray, size: np.ndarray, nodes: np.ndarray) -> _Boxes:
+        integrals = nested_rules(len(size)) @ nodes * size.prod(axis=0)
+        value = integrals[:, 0]
+        errors = np.abs(integrals[:, 1:] - integrals[:, :1]).max(axis=0)
+        # Rounding is no error to bisect for: a constant would be, without end, at tolerance 0.
+        errors[errors <= 1e-14 * np.abs(value).max(axis=0)] = 0
+        return cls(lane, low, size, nodes, value, errors.max(axis=0), errors.argmax(axis=0))
+
+    def __getitem__(self, keep: np.ndarray) -> _Boxes:
+        return _Boxes(*(getattr(self, name)[..., keep] for name in self.__dataclass_fields__))
+
+
+def _values(integrand: StagedIntegrand, stage: FirstStage, lane: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(C, N) float64 values of the rest alone at u (D, N) of lanes (N,), in batches."""
+    parts = []
+    for start in range(0, max(1, u.shape[1]), _BATCH):
+        at = lane[start : start + _BATCH]
+        which, found = integrand.rest(stage, at, u[:, start : start + _BATCH])
+        values = np.zeros((len(found), len(at)))
+        values[:, slice(None) if which is None else which] = found
+        parts.append(values)
+    return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+
+
+def _bisect(integrand: StagedIntegrand, stage: FirstStage, boxes: _Boxes, split: np.ndarray) -> _Boxes:
+    """Both halves of every box, in dimension ``split`` (N,); 2 * 3^(D-1) evaluations each."""
+    dimensions = len(boxes.size)
+    lane, low, size, nodes = [], [], [], []
+    for d in range(dimensions):
+        here = np.flatnonzero(split == d)
+        if not len(here):
+            continue
+        at = new_nodes(dimensions, d)
+        count = at.shape[1]
+        u = boxes.low[:, None, here] + at[:, :, None] * boxes.size[:, None, here]
+        lanes = np.broadcast_to(boxes.lane[here], (count, len(here))).ravel()
+        new = _values(integrand, stage, lanes, u.reshape(dimensions, -1))
+        nodes += halves(boxes.nodes[..., here], new.reshape(-1, count, len(here)), dimensions, d)
+        half = boxes.size[:, here]
+        half[d] /= 2
+        above = boxes.low[:, here]
+        low.append(above.copy())
+        above[d] += half[d]
+        low.append(above)
+        size += [half, half]
+        lane += [boxes.lane[here]] * 2
+    return _Boxes.of(*(np.concatenate(part, axis=-1) for part in (lane, low, size, nodes)))
+
+
+def integrate_rest(
+    integrand: StagedIntegrand,
+    stage: FirstStage,
+    lanes: int,
+    tolerance: float,
+    min_levels: int = 3,
+    max_levels: int = 12,
+    limit: int = _LIMIT,
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """The rest's integral over its unit cube in each of the stage's lanes: values, errors, evaluations.
+
+    A lane is done when its boxes' nested errors |Simpson - trapezoid| (the largest over dimensions and
+    channels) sum to ``tolerance`` or less; until then every box with more than an equal share of the
+    tolerance is bisected in its worst dimension. What a lane gets does not depend on the others.
+
+    lanes : M of the stage. tolerance : of each integral, absolute; 0 refines all that has an error.
+    min_levels : bisections of the whole cube before the errors are believed, dimensions in turn.
+    max_levels : bisections of the whole cube at most; what is left then is in the errors.
+    limit : node values held at once; about ``limit`` * log2(M) * 16 bytes, but one lane's 2^max_levels
+        boxes of 3^D nodes at the most.
+
+    Returns (C, M) float64, (M,) float64, and how many points were evaluated. Biased: where the error
+    is not seen by the nodes (detail between them) it is not reported either.
+    """
+    dimensions = integrand.rest_dimensions
+    if dimensions == 0:
+        raise ValueError("the integrand has no rest dimensions to integrate over")
+    values, errors = None, np.zeros(lanes)
+    evaluations = 0
+    grid = grid_nodes(dimensions)
+    width = max(1, limit // (grid.shape[1] << min_levels))
+    for start in range(0, max(1, lanes), width):
+        lane = np.arange(start, min(start + width, lanes))
+        shape = (dimensions, len(lane))
+        nodes = _values(integrand, stage, np.tile(lane, grid.shape[1]), np.repeat(grid, len(lane), axis=1))
+        evaluations += nodes.shape[1]
+        if values is None:
+            values = np.zeros((len(nodes), lanes))
+        nodes = nodes.reshape(-1, grid.shape[1], len(lane))
+        # Depth first over sets of lanes, breadth first in each: (first lane, end, boxes, boxes ever).
+        boxes = _Boxes.of(lane, np.zeros(shape), np.ones(shape), nodes)
+        waiting = [(start, start + len(lane), boxes, np.ones(len(lane), np.int64))]
+        while waiting:
+            first, end, boxes, count = waiting.pop()
+            if boxes.nodes.size > limit and end - first > 1:
+                middle = (first + end) // 2
+                low = boxes.lane < middle
+                waiting.append((middle, end, boxes[~low], count[middle - first :]))
+                waiting.append((first, middle, boxes[low], count[: middle - first]))
+                continue
+            own = boxes.lane - first
+            level = -np.log2(boxes.size).sum(axis=0)
+            total = errors[first:end] + np.bincount(own, boxes.error, minlength=end - first)
+            needed = (total > tolerance)[own] & (boxes.error * count[own] > tolerance)
+            early = level < min_levels
+            split = early | (needed & (level < max_levels))
+            for channel, value in zip(values, boxes.value, strict=True):
+                channel[first:end] += np.bincount(own, np.where(split, 0, value), minlength=end - first)
+            errors[first:end] += np.bincount(own, np.where(split, 0, boxes.error), minlength=end - first)
+            if split.any():
+                boxes, early, own = boxes[split], early[split], own[split]
+                dimension = np.where(early, boxes.size.argmax(axis=0), boxes.worst)
+                evaluations += len(own) * 2 * 3 ** (dimensions - 1)
+                count = count + np.bincount(own, minlength=end - first)
+                waiting.append((first, end, _bisect(integrand, stage, boxes, dimension), count))
+    return values, errors, evaluations
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """A few Sobol points of the bins' dimensions in each bin, and for each adaptive quadrature of the rest.
+
+    With no rest dimension it is the mean over the Sobol points. ``samples`` sets the number of
+    points alone: how many evaluations follow is the tolerance's business.
+
+    Biased: as measured with the defaults, by 2e-6 of the mean on smooth integrands, at most 1e-4 with a
+    ridge or a shadow (root mean square over bins up to 1e-3); ten times that at a tolerance of 0.1. Detail
+    that falls between the first nodes (1/16 apart in one rest dimension, 1/4 in three) is lost.
+
+    tolerance : of one point's integral, relative to the integrand's mean magnitude.
+    points : of the bins' dimensions, in each bin; 0: samples / 16, but all samples with no rest dimension.
+    min_levels, max_levels : see `integrate_rest`.
+    """
+
+    tolerance: float = 1e-2
+    points: int = 0
+    min_levels: int = 3
+    max_levels: int = 12
+
+    def __post_init__(self) -> None:
+        if not self.tolerance > 0:
+            raise ValueError(f"tolerance must be positive, not {self.tolerance}")
+        if self.points < 0:
+            raise ValueError(f"points must be 0 (automatic) or more, not {self.points}")
+        if not 0 <= self.min_levels <= self.max_levels:
+            raise ValueError(
+                f"min_levels {self.min_levels} and max_levels {self.max_levels} are not in order"
+            )
+
+    def estimate(self, problem: Problem) -> Result:
+        """Standard errors: the spread of a bin's points as if they were independent (with one point the
+        differences to neighbouring bins), and the mean nested error in quadrature with it. Both are
+        larger than the truth where the integrand is smooth, and blind to what no node has seen."""
+        integrand, bins = problem.integrand, problem.bins
+        rest = integrand.rest_dimensions
+        points = self.points or max(1, round(problem.samples / 16 if rest else problem.samples))
+        screen = SobolPoints(range(len(bins)), problem.seed, 0)
+        screen.prepare(points)
+        total = math.prod(bins)
+
+        def integrals(which: np.ndarray, count: int, tolerance: float, **levels: int) -> Any:
+            """(C, B, count) values, (B, count) errors and the evaluations, for bins of these numbers."""
+            index = np.stack(np.unravel_index(which, bins))
+            u = screen.points(problem.keys(index), 0, count)
+            stage = integrand.first(problem.cells(index), u)
+            lanes = len(which) * count
+            if not rest:
+                values, errors, evaluations = stage.values, np.zeros(lanes), lanes
+            else:
+                lane = slice(None) if stage.lane is None else stage.lane
+                hits = lanes if stage.lane is None else len(stage.lane)
+                inner, error, evaluations = integrate_rest(integrand, stage, hits, tolerance, **levels)
+                values = np.zeros((len(inner) if stage.values is None else len(stage.values), lanes))
+                errors = np.zeros(lanes)
+                if stage.values is not None:
+                    values += stage.values
+                values[: len(inner), lane] += inner
+                errors[lane] = error
+            return values.reshape(-1, len(which), count), errors.reshape(len(which), count), evaluations
+
+        width = max(1, _BATCH // points)
+        tolerance, pilot = math.inf, 0
+        # Some bins tell the mean magnitude, unless all of them are dark: then every bin is asked.
+        for some in (min(total, max(64, min(total // 16, 4096))), total) if rest else ():
+            asked = np.arange(0, total, -(-total // some))
+
+            def magnitude(start: int, asked: np.ndarray = asked) -> tuple[float, int]:
+                which = asked[start : start + _BATCH]
+                values, _, cost = integrals(which, 1, math.inf, min_levels=self.min_levels)
+                return float(np.abs(values).max(axis=0).sum()), cost
+
+            sums, costs = zip(*problem.pool.map(magnitude, range(0, len(asked), _BATCH)), strict=True)
+            pilot += sum(costs)
+            tolerance = self.tolerance * sum(sums) / len(asked)
+            if tolerance > 0:
+                break
+
+        def part(start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+            which = np.arange(start, min(start + width, total))
+            values, errors, evaluations = integrals(
+                which, points, tolerance, min_levels=self.min_levels, max_levels=self.max_levels
+            )
+            return values.mean(axis=2), values.var(axis=2), errors.mean(axis=1), evaluations
+
+        value, spread, nested, counts = zip(*problem.pool.map(part, range(0, total, width)), strict=True)
+        evaluations = pilot + sum(counts)
+        value = np.concatenate(value, axis=1).reshape(-1, *bins)
+        if points > 1:
+            variance = np.concatenate(spread, axis=1).reshape(value.shape) / (points - 1)
+        else:
+            variance = _variance_of_neighbours(value)
+        return Result(
+            value=value,
+            standard_error=np.sqrt(variance + np.concatenate(nested).reshape(bins) ** 2),
+            control_variate=np.zeros_like(value),
+            residual=value.copy(),
+            sample_count=np.full(bins, points, np.int64),
+            evaluations=evaluations,
+            non_finite=integrand.non_finite,
+        )
+
+
+def _variance_of_neighbours(value: np.ndarray) -> np.ndarray:
+    """Half the mean squared difference of each bin (C, *bins) to its neighbours; inf if it has none."""
+    squares, count = np.zeros_like(value), np.zeros(value.shape)
+    for axis in range(1, value.ndim):
+        difference = np.diff(value, axis=axis) ** 2
+        for end in (slice(1, None), slice(None, -1)):
+            part = (slice(None),) * axis + (end,)
+            squares[part] += difference
+            count[part] += 1
+    return np.divide(squares, 2 * count, out=np.full(value.shape, np.inf), where=count > 0)

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Boxes of primary space, halved where the integrand is not yet a quadratic.
+
+A region is a box with 3^m nodes (Simpson's grid; thesis eq. 4.3-4.6). Boxes are dyadic and, along the
+bins' dimensions, aligned to bins: they begin as 2^k bins and halve down to one bin and below. Places
+are integers, so no edge is ever rounded; a node's place is its key in one store, so no node is
+evaluated twice, whether a region, its child or its neighbour asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .rules import SIMPSON
+
+BIN = 20
+"""log2 of how many lattice units a bin is long."""
+
+WHOLE = 40
+"""log2 of how many lattice units the unit interval of another dimension is long."""
+
+SMALLEST = 2
+"""log2 of the shortest edge that is halved: nodes of the halves are on the lattice too."""
+
+NODE_KEYS = np.array(
+    [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xFF51AFD7ED558CCD]
+    + [0xC4CEB9FE1A85EC53, 0x94D049BB133111EB, 0xBF58476D1CE4E5B9, 0x27D4EB2F165667C5, 0x8CB92BA72F3D8DD7],
+    np.uint64,
+)
+"""A node's key is its place times these, modulo 2^64: two nodes that share one would spoil a control
+variate's value, never the estimate."""
+
+Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+"""place (m, N) int64 -> values (C, N), and the spread (N,) of the dimensions inside the nodes."""
+
+
+class NodeStore:
+    """Values of all nodes so far, found by their keys.
+
+    values : (C, N). spread : (N,) or None.
+    """
+
+    def __init__(self, evaluate: Evaluate) -> None:
+        self._evaluate = evaluate
+        self._keys = np.zeros(0, np.uint64)
+        self._slots = np.zeros(0, np.int32)
+        self._values: np.ndarray | None = None
+        self._spread: np.ndarray | None = None
+        self.count = 0
+
+    def slots(self, place: np.ndarray, keys: np.ndarray) -> np.ndarray:
+        """(N,) int32 slots of the nodes at place (m, N) int64 with ``keys`` (N,); new ones are evaluated."""
+        unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        at = np.searchsorted(self._keys, unique)
+        slots = np.empty(len(unique), np.int32)
+        known = np.zeros(len(unique), bool)
+        if self.count:
+            inside = np.minimum(at, self.count - 1)
+            known = self._keys[inside] == unique
+            slots[known] = self._slots[inside[known]]
+        new = np.flatnonzero(~known)
+        if new.size:
+            values, spread = self._evaluate(place[:, first[new]])
+            slots[new] = np.arange(self.count, self.count + new.size, dtype=np.int32)
+            self._keys = np.insert(self._keys, at[new], unique[new])
+            self._slots = np.insert(self._slots, at[new], slots[new])
+            self._append(values, spread)
+        return slots[inverse.ravel()]
+
+    @property
+    def values(self) -> np.ndarray:
+        return self._values[:, : self.count]
+
+    @property
+    def spread(self) -> np.ndarray | None:
+        return None if self._spread is None else self._spread[: self.count]
+
+    def _append(self, values: np.ndarray, spread: np.ndarray | None) -> None:
+        end = self.count + values.shape[1]
+        self._values = _grown(self._values, values, self.count, end)
+        if spread is not None:
+            self._spread = _grown(self._spread, spread, self.count, end)
+        self.count = end
+
+
+def _grown(array: np.ndarray | None, new: np.ndarray, begin: int, end: int) -> np.ndarray:
+    """``array`` with ``new`` at [begin:end] of its last axis, in place while there is room."""
+    if array is None:
+        array = np.empty((*new.shape[:-1], max(1024, end)), new.dtype)
+    elif array.shape[-1] < end:
+        larger = np.empty((*array.shape[:-1], max(2 * array.shape[-1], end)), array.dtype)
+        larger[..., :begin] = array[..., :begin]
+        array = larger
+    array[..., begin:end] = new
+    return array
+
+
+@dataclass(eq=False)
+class Regions:
+    """R boxes in m dimensions.
+
+    start : (m, R) int64, lattice units. size : (m, R) int8, log2 of the edges in lattice units.
+    nodes : (R, 3^m) int32, slots of the node store, the last dimension fastest.
+    volume : (R,) fraction of the domain.
+    density : (R,) nested error, |Simpson - trapezoid|, as a mean over the region (thesis eq. 4.8).
+    axis : (R,) the dimension to halve: that of the largest error among those that may be halved.
+    gain : (R,) the error in that dimension, 0 if none may.
+    """
+
+    start: np.ndarray
+    size: np.ndarray
+    nodes: np.ndarray
+    volume: np.ndarray
+    density: np.ndarray
+    axis: np.ndarray
+    gain: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.volume)
+
+    def __getitem__(self, part: np.ndarray | slice) -> Regions:
+        return Regions(
+            self.start[:, part],
+            self.size[:, part],
+            self.nodes[part],
+            self.volume[part],
+            self.density[part],
+            self.axis[part],
+            self.gain[part],
+        )
+
+
+def root_edges(bins: int, log_edge: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and log2 sizes, in bins, of dyadic intervals that tile ``bins`` bins, none above 2^log_edge."""
+    whole, remainder = bins >> log_edge, bins & ((1 << log_edge) - 1)
+    tail = [bit for bit in reversed(range(log_edge)) if remainder >> bit & 1]
+    sizes = np.array([log_edge] * whole + tail, np.int64)
+    starts = np.concatenate([[0], np.cumsum(1 << sizes)[:-1]])
+    return starts, sizes
+
+
+class RegionTree:
+    """Regions that tile the domain, and the worst of them halved until a budget is spent.
+
+    splits : how many regions were halved. sweeps : in how many batches.
+    """
+
+    def __init__(
+        self,
+        bins: tuple[int, ...],
+        dimensions: int,
+        log_edge: int,
+        evaluate: Evaluate,
+        within_bins: bool = True,
+    ) -> None:
+        """dimensions : m, the bins' and those after them. log_edge : roots are 2^log_edge bins long.
+
+        within_bins : whether regions may be shorter than a bin.
+        """
+        self.bins = bins
+        self.dimensions = m = dimensions
+        self.store = NodeStore(evaluate)
+        self.splits = self.sweeps = 0
+        self._keys = NODE_KEYS[:m]
+        self._smallest = np.full(m, SMALLEST)
+        if not within_bins:
+            self._smallest[: len(bins)] = BIN
+        edges = [root_edges(n, log_edge) for n in bins]
+        starts = np.meshgrid(*[e[0] for e in edges], indexing="ij")
+        sizes = np.meshgrid(*[e[1] for e in edges], indexing="ij")
+        count = starts[0].size
+        start, size = np.zeros((m, count), np.int64), np.full((m, count), WHOLE, np.int8)
+        for d, (low, log) in enumerate(zip(starts, sizes, strict=True)):
+            start[d] = low.ravel() << BIN
+            size[d] = log.ravel() + BIN
+        self._full = np.array([n << BIN for n in bins] + [1 << WHOLE] * (m - len(bins)), np.float64)
+        self.regions = Regions(
+            start,
+            size,
+            np.empty((count, 3**m), np.int32),
+            np.ldexp(1.0, size.astype(np.int64)).prod(axis=0) / self._full.prod(),
+            np.empty(count),
+            np.empty(count, np.int8),
+            np.empty(count),
+        )
+        self._count = count
+        offset = np.indices((3,) * m).reshape(m, -1)
+        place = start[:, :, None] + (offset[:, None, :] << (size.astype(np.int64)[:, :, None] - 1))
+        place = place.reshape(m, -1)
+        self.regions.nodes[:] = self.store.slots(place, self._key(place)).reshape(count, -1)
+        self._judge(slice(0, count))
+
+    def _key(self, place: np.ndarray) -> np.ndarray:
+        return np.einsum("dn,d->n", place.astype(np.uint64), self._keys)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def leaves(self) -> Regions:
+        """The regions as they are now (views)."""
+        return self.regions[: self._count]
+
+    @property
+    def cost_of_split(self) -> int:
+        """New nodes of a split at most: 2 * 3^(m - 1)."""
+        return 2 * 3 ** (self.dimensions - 1)
+
+    def sweep(self, splits: int, smallest_volume: float) -> int:
+        """Halve at most ``splits`` of the worst regions, each in its worst dimension; returns how many.
+
+        smallest_volume : no region below it is halved.
+        """
+        regions = self.leaves()
+        error = regions.gain * regions.volume
+        error[regions.volume < smallest_volume] = 0
+        axis = regions.axis
+        if 0 < splits < len(error):
+            worst = np.argpartition(error, len(error) - splits)[len(error) - splits :]
+        else:
+            worst = np.arange(len(error))
+        worst = np.sort(worst[error[worst] > 0])
+        if worst.size == 0 or splits <= 0:
+            return 0
+        self._reserve(self._count + worst.size)
+        first_new = self._count
+        for d in range(self.dimensions):
+            chosen = worst[axis[worst] == d]
+            if chosen.size:
+                self._halve(chosen, d)
+        self._judge(worst)
+        self._judge(slice(first_new, self._count))
+        self.splits += worst.size
+        self.sweeps += 1
+        return int(worst.size)
+
+    def _reserve(self, count: int) -> None:
+        """Room for so many regions."""
+        r = self.regions
+        if len(r) >= count:
+            return
+        room = max(2 * len(r), count, 256)
+
+        def grown(array: np.ndarray, axis: int) -> np.ndarray:
+            shape = list(array.shape)
+            shape[axis] = room
+            out = np.empty(shape, array.dtype)
+            out[(slice(None),) * axis + (slice(0, array.shape[axis]),)] = array
+            return out
+
+        self.regions = Regions(
+            grown(r.start, 1),
+            grown(r.size, 1),
+            grown(r.nodes, 0),
+            grown(r.volume, 0),
+            grown(r.density, 0),
+            grown(r.axis, 0),
+            grown(r.gain, 0),
+        )
+
+    def _halve(self, chosen: np.ndarray, d: int) -> None:
+        """Halve regions in dimension d: the lower halves take their place, the upper ones are appended."""
+        r, m = self.regions, self.dimensions
+        count, faces = len(chosen), 3 ** (m - 1)
+        # Along d a region's 3 nodes become 5, of which the two new ones are asked for.
+        offset = np.indices((3,) * (m - 1)).reshape(m - 1, -1)
+        start, log = r.start[:, chosen], r.size[:, chosen].astype(np.int64)
+        place = np.empty((m, count, 2, faces), np.int64)
+        others = [i for i in range(m) if i != d]
+        for row, i in enumerate(others):
+            place[i] = (start[i][:, None] + (offset[row] << (log[i][:, None] - 1)))[:, None, :]
+        quarter = np.int64(1) << (log[d] - 2)
+        place[d] = (start[d][:, None] + quarter[:, None] * np.array([1, 3]))[:, :, None]
+        place = place.reshape(m, -1)
+        new = self.store.slots(place, self._key(place)).reshape(count, 2, faces)
+        old = np.moveaxis(r.nodes[chosen].reshape(count, *(3,) * m), 1 + d, 1).reshape(count, 3, faces)
+        line = np.stack([old[:, 0], new[:, 0], old[:, 1], new[:, 1], old[:, 2]], axis=1)
+
+        def back(nodes: np.ndarray) -> np.ndarray:
+            return np.moveaxis(nodes.reshape(count, 3, *(3,) * (m - 1)), 1, 1 + d).reshape(count, -1)
+
+        upper = slice(self._count, self._count + count)
+        r.size[d, chosen] -= 1
+        r.volume[chosen] *= 0.5
+        r.nodes[chosen] = back(line[:, :3])
+        r.start[:, upper] = start
+        r.start[d, upper] += quarter * 2
+        r.size[:, upper] = r.size[:, chosen]
+        r.volume[upper] = r.volume[chosen]
+        r.nodes[upper] = back(line[:, 2:])
+        self._count += count
+
+    def _judge(self, part: slice | np.ndarray) -> None:
+        """Nested errors of some regions, in slices that bound the memory."""
+        index = np.arange(self._count)[part]
+        step = max(1, (1 << 20) // 3**self.dimensions)
+        for low in range(0, len(index), step):
+            some = index[low : low + step]
+            errors = nested_errors(self.store.values, self.regions.nodes[some], self.dimensions)
+            self.regions.density[some] = errors.max(axis=0)
+            errors[self.regions.size[:, some] <= self._smallest[:, None]] = 0
+            self.regions.axis[some] = errors.argmax(axis=0)
+            self.regions.gain[some] = errors.max(axis=0)
+
+
+def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:
+    """(m, R) |Simpson - trapezoid| in each dimension, as means over regions, summed over channels.
+
+    Magnitudes are taken before the other dimensions are integrated, so that what has a changing sign
+    does not cancel.
+    """
+    out = np.zeros((m, len(nodes)))
+    for channel in values:
+        v = channel.take(nodes).reshape(-1, *(3,) * m)
+        for d in range(m):
+            line = np.moveaxis(v, 1 + d, 1).reshape(len(nodes), 3, -1)
+            bend = np.abs(2 * line[:, 1] - line[:, 0] - line[:, 2])
+            out[d] += bend @ face_weights(m - 1)
+    return out / 3
+
+
+def face_weights(dimensions: int) -> np.ndarray:
+    """(3^dimensions,) Simpson's weights of a tensor grid."""
+    weights = np.ones(1)
+    for _ in range(dimensions):
+        weights = np.multiply.outer(weights, SIMPSON).ravel()
+    return weights

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sampling what the control variate leaves over: the mean of f - h in every bin.
+
+    I_b = H_b + 1/n sum_i (f(u_i) - h(u_i)) vol_p / q_p          (thesis eq. 2.14 with alpha = 1)
+
+A sample's coordinate chooses the region among those that overlap the bin, with probability q, and is
+stretched to serve again as that coordinate inside the overlap: the region is known, not searched for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .control_variate import TileOfRegions
+from .integrand import StagedIntegrand, values_at
+from .point_sets import PointSet
+from .standard_error import Spread
+
+EVEN = 0.2
+"""Part of a bin's samples that is spread over its regions evenly: no weight exceeds 1 / EVEN."""
+
+
+class Overlaps:
+    """Regions that overlap each bin of a tile, and how samples are shared among them.
+
+    Of P overlaps in the order of `Pairs`: region (P,), begin and width (P,) of the interval of [0, 1) that
+    chooses it, weight (P,) vol / q.
+    """
+
+    def __init__(self, tile: TileOfRegions, density: np.ndarray, error: np.ndarray, even: float = EVEN):
+        """density : (R,) predicted deviation in the tile's regions. error : (B,) in its bins."""
+        pairs = tile.pairs()
+        self.region, self.first = pairs.region, pairs.first
+        self.single = len(pairs.region) == len(error)
+        if self.single:
+            return
+        total = error.take(pairs.bin)
+        share = pairs.volume * density.take(pairs.region)
+        chance = np.where(total > 0, even * pairs.volume + (1 - even) * share / np.where(total > 0, total, 1), 0)
+        chance = np.where(total > 0, chance, pairs.volume)
+        running = np.cumsum(chance)
+        begin = np.concatenate([[0.0], running])[pairs.first[:-1]]
+        whole = running[pairs.first[1:] - 1] - begin
+        end = (running - begin.take(pairs.bin)) / whole.take(pairs.bin)
+        end[pairs.first[1:] - 1] = 1.0
+        self.begin = np.concatenate([[0.0], end[:-1]])
+        self.begin[pairs.first[:-1]] = 0.0
+        self.width = end - self.begin
+        with np.errstate(divide="ignore"):
+            self.weight = pairs.volume / self.width
+        self._upper = end + pairs.bin
+
+    def choose(self, bin_: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """(N,) the overlaps that x (N,) in [0, 1) chooses in bins (N,)."""
+        pair = np.searchsorted(self._upper, bin_ + x, side="right")
+        return np.clip(pair, self.first.take(bin_), self.first[1:].take(bin_) - 1)
+
+
+class ResidualSampler:
+    """Residual samples of an integrand, tile by tile; safe to use from several threads.
+
+    evaluations of the integrand are the caller's to count.
+    """
+
+    def __init__(
+        self,
+        points: tuple[PointSet, PointSet],
+        covered: int,
+        split: int = 1,
+        batch: int = 16384,
+        even: float = EVEN,
+    ) -> None:
+        """points : of the bins' dimensions and of the rest. covered : dimensions of the polynomial.
+
+        split : points of the rest for each of the bins' dimensions, a power of two. batch : at once, about.
+        """
+        self._points = points
+        self._covered = covered
+        self._split = split
+        self._batch = batch
+        self._even = even
+
+    def sample(
+        self,
+        integrand: StagedIntegrand,
+        bins: Any,
+        keys: np.ndarray,
+        tile: TileOfRegions,
+        density: np.ndarray,
+        error: np.ndarray,
+        count: np.ndarray,
+        chance: np.ndarray,
+        after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
+    ) -> tuple[np.ndarray, Spread]:
+        """Mean residual (C, B) of a tile's bins, and its spread.
+
+        bins : B of the integrand's, sliceable. keys : (B,) uint32. count : (B,) powers of two, or 0.
+        chance : (B,) that a bin was to be sampled; its mean is divided by it.
+        after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
+        """
+        overlaps = Overlaps(tile, density, error, self._even)
+        total = spread = None
+        for n in np.unique(count):
+            if n == 0:
+                continue
+            chosen = np.flatnonzero(count == n)
+            width = max(1, self._batch // int(n * self._split))
+            for low in range(0, len(chosen), width):
+                part = chosen[low : low + width]
+                residual, stage = self._residual(integrand, bins, keys, tile, overlaps, part, int(n))
+                if total is None:
+                    total = np.zeros((len(residual), len(count)))
+                    spread = Spread.zeros(*total.shape)
+                parts = residual.reshape(len(residual), len(part), min(int(n), 4), -1).mean(axis=3)
+                total[:, part] = parts.mean(axis=2) / chance[part]
+                spread.put(part, parts)
+                if after_batch is not None:
+                    after_batch(part, stage, int(n))
+        if total is None:
+            total = np.zeros((len(tile.channels), len(count)))
+            spread = Spread.zeros(*total.shape)
+        return total, spread
+
+    def _residual(self, integrand, bins, keys, tile, overlaps, part, n) -> tuple[np.ndarray, Any]:
+        """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage."""
+        screen = self._points[0].points(keys[part], 0, n)
+        rest = self._points[1].points(keys[part], 0, n * self._split)
+        bin_ = np.repeat(part, n * self._split)
+        first = np.repeat(screen.reshape(len(screen), -1), self._split, axis=1)
+        rest = rest.reshape(len(rest), bin_.size)
+        inside = self._covered - len(first)
+        u = np.concatenate([first, rest[:inside]]).astype(np.float64, copy=False)
+        weight = None
+        if overlaps.single:
+            region = overlaps.region.take(bin_)
+        else:
+            chooser = u[len(first) if inside else 0]
+            pair = overlaps.choose(bin_, chooser)
+            region, weight = overlaps.region.take(pair), overlaps.weight.take(pair)
+            chooser -= overlaps.begin.take(pair)
+            chooser /= overlaps.width.take(pair)
+            np.clip(chooser, 0.0, 1.0, out=chooser)
+        h = tile.values(region, bin_, u)
+        place = tile.place(region, u)
+        if self._split == 1:
+            screen = place[: len(screen)].reshape(len(screen), len(part), n)
+        stage = integrand.first(bins[part], screen)
+        at = np.concatenate([place[len(screen) :], rest[inside:]])
+        f = values_at(integrand, stage, len(part) * n, None, at)
+        residual = f - h if len(f) == len(h) else f[: len(h)] - h
+        if weight is not None:
+            residual *= weight
+        return residual, stage

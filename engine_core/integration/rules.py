@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Simpson's rule and the quadratic through its nodes; Gauss-Legendre points. All on [0, 1]."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
+"""Weights of the nodes 0, 1/2, 1 (thesis eq. 4.3 in one dimension)."""
+
+
+def lagrange(t: np.ndarray) -> np.ndarray:
+    """(3, ...) the quadratics that are 1 at one of the nodes 0, 1/2, 1 and 0 at the others.
+
+    The nodal form: as well conditioned as the values themselves, wherever the region lies.
+    """
+    t = np.asarray(t)
+    out = np.empty((3, *t.shape), t.dtype)
+    twice = t + t
+    np.subtract(1, twice, out=out[2])  # 1 - 2t
+    np.subtract(1, t, out=out[1])
+    np.multiply(out[1], out[2], out=out[0])  # (1 - t)(1 - 2t)
+    np.multiply(out[1], twice, out=out[1])
+    out[1] += out[1]  # 4t (1 - t)
+    np.multiply(out[2], t, out=out[2])
+    np.negative(out[2], out=out[2])  # t (2t - 1)
+    return out
+
+
+@lru_cache(64)
+def bin_means(count: int) -> np.ndarray:
+    """(count, 3) exact means of the three `lagrange` quadratics over equal bins of [0, 1]."""
+    edges = np.arange(count + 1) / count
+    low, high = edges[:-1], edges[1:]
+    mean = (low + high) / 2
+    square = (low * low + low * high + high * high) / 3
+    out = np.stack([1 - 3 * mean + 2 * square, 4 * (mean - square), 2 * square - mean], axis=1)
+    out.setflags(write=False)
+    return out
+
+
+def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights (count,) of the Gauss-Legendre rule on [0, 1]; exact to degree 2 count - 1."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    return (x + 1) / 2, w / 2

@@ -504,16 +504,16 @@ INTEGRANDS = {
         Integrand("direct4", 4, (32, 32), direct4, 0.0956656318, _direct4_along_row, 3, net_points=1 << 26),
         Integrand("checkerboard4", 4, (32, 32), checkerboard4, 0.499902069569, exact=_checkerboard4_bins),
         Integrand("spot4", 4, (32, 32), spot4, 0.00994381, net_points=1 << 26),
-        Integrand(
-            "vrl4", 4, (32, 32), vrl4, 1.657909, smooth=True, panels=(32, 32, 16, 2), reduced_ndim=4
-        ),
+        Integrand("vrl4", 4, (32, 32), vrl4, 1.657909, smooth=True, panels=(32, 32, 16, 2), reduced_ndim=4),
         Integrand("fog5", 5, (32, 32), fog5, 0.001434561, _fog5_along_z, 4, net_points=1 << 22),
         Integrand("bump10", 10, (32, 32), bump10, 0.144445683534, _bump10_on_screen, 2, smooth=True),
-        Integrand("spike3", 3, (32, 32), spike3, 0.050044546624, _spike3_along_z, 2, smooth=True, panels=(128, 128)),
+        Integrand(
+            "spike3", 3, (32, 32), spike3, 0.050044546624, _spike3_along_z, 2, smooth=True, panels=(128, 128)
+        ),
         Integrand("grid4", 4, (32, 32), grid4, 0.08190901, _grid4_along_row, 3, net_points=1 << 26),
         Integrand("colour3", 3, (32, 32), colour3, 0.1166116, _colour3_along_z, 2),
     )
-}  # fmt: skip
+}
 
 
 # References

@@ -179,7 +179,7 @@ def times(options: argparse.Namespace) -> None:
     seeds = options.seeds or 3
     rival = Entrant.named("sobol")
     head = ("integrand", "method", "samples", "evaluations a bin", "error", "sobol's", "seconds",
-            "sobol's", "times as fast", "at least", "regions")  # fmt: skip
+            "sobol's", "times as fast", "at the same error", "at least", "regions")  # fmt: skip
     rows = [head, ["---"] * len(head)]
     for integrand in options.integrands:
         truth = reference(integrand, bins)
@@ -193,15 +193,20 @@ def times(options: argparse.Namespace) -> None:
             if samples is None:
                 print(f"  {entrant.name} does not reach {goal:.2e} with 8 times sobol's samples")
                 continue
-            found: list[tuple[float, ...]] = []
+            turns = [(rival, TIMED_SAMPLES), (entrant, samples), *([(entrant, samples // 2)] * (samples > 1))]
+            found = []
             for seed in range(1, seeds + 1):
-                pair = []
-                for runner, count in ((rival, TIMED_SAMPLES), (entrant, samples)):
+                now = []
+                for runner, count in turns:
                     result, seconds = runner.run(integrand, bins, count, seed, f, options.threads)
-                    pair += [seconds, truth.relative_error(result.value)]
-                    print(f"  {runner.name:20} {count:4g} samples {seconds:8.3f} s  error {pair[-1]:.3e}")
-                found.append((*pair, pair[0] / pair[2]))
-            sobol_seconds, sobol_error, seconds, error, ratio = map(statistics.median, zip(*found, strict=True))
+                    now.append((seconds, truth.relative_error(result.value)))
+                    print(f"  {runner.name:20} {count:4g} samples {seconds:8.3f} s  error {now[-1][1]:.3e}")
+                    if count == samples and runner is entrant:
+                        last = result
+                found.append(now)
+            taken = np.array(found)  # (seeds, turns, (seconds, error))
+            ratio = float(np.median(taken[:, 0, 0] / taken[:, 1, 0]))
+            (sobol_seconds, sobol_error), (seconds, error), *_ = np.median(taken, axis=0)
             needed = TIMED_RATIO.get(integrand.name) if entrant.name == "default" else None
             note = "" if needed is None else f"{needed:g}"
             if note and ratio < needed:
@@ -211,17 +216,18 @@ def times(options: argparse.Namespace) -> None:
                     integrand.name,
                     entrant.name,
                     f"{samples:g}",
-                    f"{result.evaluations / math.prod(bins):.2f}",
+                    f"{last.evaluations / math.prod(bins):.2f}",
                     f"{error:.2e}",
                     f"{sobol_error:.2e}",
                     f"{seconds:.2f}",
                     f"{sobol_seconds:.2f}",
                     f"**{ratio:.2f}**",
+                    f"{sobol_seconds / time_to(sobol_error, np.median(taken[:, 1:], axis=0)):.2f}",
                     note,
-                    f"{result.regions}",
+                    f"{last.regions}",
                 )
             )
-            print_breakdown(result)
+            print_breakdown(last)
     for cells in rows:
         print_row(cells)
 
@@ -237,6 +243,14 @@ def fewest(
             return samples
         samples *= 2
     return None
+
+
+def time_to(error: float, measured: np.ndarray) -> float:
+    """Seconds to an error, by a power law through (seconds, error) of two numbers of samples (2, 2)."""
+    seconds, errors = np.log(np.maximum(measured, 1e-300)).T
+    if len(seconds) == 1 or errors[1] <= errors[0]:
+        return float(measured[0, 0])
+    return float(np.exp(np.interp(np.log(error), errors, seconds)))
 
 
 def print_breakdown(result: integration.Result) -> None:
@@ -272,17 +286,18 @@ class Moments:
         seeds: Iterable[int],
     ) -> Moments:
         total = square = errors = variance = 0.0
-        count = 0
+        count, origin = 0, None
         for seed in seeds:
             result, _ = entrant.run(integrand, bins, samples, seed)
-            away = result.value - truth.value  # small numbers: their squares lose no digits
-            total, square = total + away, square + away * away
+            away = result.value - truth.value
+            origin = away if origin is None else origin  # sums from here: no digits are lost
+            total, square = total + (away - origin), square + (away - origin) ** 2
             errors = errors + away * away
             variance = variance + result.standard_error**2
             count += 1
         mean = total / count
         deviation = np.sqrt(np.maximum(square / count - mean * mean, 0) * count / (count - 1))
-        return cls(count, truth.value + mean, deviation, errors / count, variance / count)
+        return cls(count, truth.value + origin + mean, deviation, errors / count, variance / count)
 
     def z(self, truth: Reference) -> np.ndarray:
         """(K,) deviations of the mean from the truth in its standard errors, of bins that have noise."""
@@ -304,8 +319,7 @@ class Moments:
                 ]
             )
         above, below = np.array(parts)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(above / below)
+        return np.sqrt(np.divide(above, below, out=np.full_like(above, np.inf), where=below > 0))
 
 
 def biases(options: argparse.Namespace) -> None:

@@ -72,10 +72,10 @@ def test_light_points_of_a_split_are_nets(split):
     _, light = _made("sobol", 64, split)
     for net in light.points(KEYS[:10], 0, 64).transpose(1, 0, 2):
         _assert_net(net, t=1)
-        _assert_net(net[1:], t=0)
+        _assert_net(net[:2], t=0)
     # Those of one camera ray are a net of their own.
     for net in light.points(KEYS[:10], 3 * split, split).transpose(1, 0, 2):
-        _assert_net(net[1:], t=0)
+        _assert_net(net[:2], t=0)
 
 
 def test_screen_and_light_points_together_are_nets():
@@ -84,7 +84,7 @@ def test_screen_and_light_points_together_are_nets():
     for net in both:
         for pair in itertools.combinations(net, 2):
             _assert_net(np.stack(pair), t=3)
-        _assert_net(net[3:], t=1)  # the point on the light
+        _assert_net(net[2:4], t=1)  # the point on the light
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)

@@ -10,13 +10,13 @@ import numpy as np
 
 from .inner_rules import InnerRule
 from .integrand import StagedIntegrand, values_at
-from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, face_weights
+from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, face_weights, root_edges
 
 LARGEST_ROOT = 6
 """log2 of the longest root edge in bins."""
 
-SWEEP = 0.25
-"""The part of the regions, the worst, that one batch halves: no worse than one at a time (CORE.md)."""
+SWEEP = 0.5
+"""The part of the regions, the worst, that one batch halves: no worse than a tenth of them."""
 
 HOPELESS = 0.7
 """Part of the integrand's variance that a polynomial must explain less than to be given up."""
@@ -93,7 +93,7 @@ def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | No
     """log2 of the roots' edge in bins: as short as a small part of ``budget`` nodes allows; None if none is."""
 
     def cost(log: int) -> float:
-        return 3.0**dimensions * float(np.prod([-(-n >> log) + log * ((n & ((1 << log) - 1)) > 0) for n in bins]))
+        return 3.0**dimensions * float(np.prod([len(root_edges(n, log)[0]) for n in bins]))
 
     fitting = [log for log in range(LARGEST_ROOT + 1) if cost(log) <= budget]
     if not fitting:

@@ -17,6 +17,9 @@ import numpy as np
 from .sobol import MAX_DIMENSIONS, hash_combine, mix, owen_scramble, sobol, unit_float
 
 
+SCRAMBLINGS = 16
+
+
 class PointSet(Protocol):
     """Points of one group of dimensions."""
 
@@ -32,12 +35,13 @@ class PointSet(Protocol):
 
 
 class SobolPoints:
-    """One Owen-scrambled Sobol net, moved by a digital (XOR) shift in every bin.
+    """Owen-scrambled Sobol nets, moved by a digital (XOR) shift in every bin.
 
-    Each bin sees a (t, m, s)-net for any power of two of samples. Groups that take one point each
-    together are one net of all their dimensions; a group that is split is decorrelated from the
-    others by scrambling the *order* of its points too, since padding an order with itself
-    correlates it with the others.
+    Each bin sees a (t, m, s)-net for any power of two of samples. There are `SCRAMBLINGS` of each
+    dimension, of which a bin takes one by chance: with a single one, neighbours would be wrong together.
+    Groups that take one point each together are one net of all their dimensions; a group that is split
+    is decorrelated from the others by scrambling the *order* of its points too, since padding an order
+    with itself correlates it with the others.
     """
 
     def __init__(
@@ -58,25 +62,29 @@ class SobolPoints:
         self._dtype = dtype
         self._shuffled = shuffled
         self._seeds = [int(hash_combine(seed, group, d)[0]) for d in range(len(self._dimensions) + 1)]
-        self._net = np.empty((len(self._dimensions), 0), np.uint32)
+        self._nets = np.empty((len(self._dimensions), SCRAMBLINGS, 0), np.uint32)
 
     def prepare(self, count: int) -> None:
-        if self._net.shape[1] < count:
-            index = np.arange(1 << (count - 1).bit_length(), dtype=np.uint32)
-            if self._shuffled:
-                index = owen_scramble(index, self._seeds[-1])
-            self._net = np.empty((len(self._dimensions), len(index)), np.uint32)
-            for row, d, seed in zip(self._net, self._dimensions, self._seeds, strict=False):
-                row[:] = owen_scramble(sobol(index, d), seed)
+        if self._nets.shape[2] >= count:
+            return
+        index = np.arange(1 << (count - 1).bit_length(), dtype=np.uint32)
+        if self._shuffled:
+            index = owen_scramble(index, self._seeds[-1])
+        self._nets = np.empty((len(self._dimensions), SCRAMBLINGS, len(index)), np.uint32)
+        for nets, d, seed in zip(self._nets, self._dimensions, self._seeds, strict=False):
+            seeds = hash_combine(seed, np.arange(SCRAMBLINGS))
+            nets[:] = owen_scramble(sobol(index, d), seeds[:, None])
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
-        net = self._net[:, start : start + count]
         others = self._random.points(keys, start, count)
-        out = np.empty((len(net) + len(others), len(keys), count), self._dtype)
-        for row, coordinates, seed in zip(out, net, self._seeds, strict=False):
+        out = np.empty((len(self._nets) + len(others), len(keys), count), self._dtype)
+        for row, nets, seed in zip(out, self._nets, self._seeds, strict=False):
             shift = mix(keys ^ np.uint32(seed))
-            row[:] = unit_float(coordinates ^ shift[:, None], self._dtype)
-        out[len(net) :] = others
+            which = mix(shift ^ np.uint32(0x9E3779B9)) % np.uint32(SCRAMBLINGS)
+            net = nets[:, start : start + count].take(which, axis=0)
+            net ^= shift[:, None]
+            row[:] = unit_float(net, self._dtype)
+        out[len(self._nets) :] = others
         return out
 
 

@@ -25,6 +25,12 @@ WHOLE = 40
 SMALLEST = 2
 """log2 of the shortest edge that is halved: nodes of the halves are on the lattice too."""
 
+TRUST = 0.25
+"""Exponent of the surprise in the error, of the nested error the rest. The nested error is the error of
+the trapezoid rule, far too much for what is smooth; the surprise is that of the parent's quadratic, but
+misses an edge between nodes. 0 is 2 times worse on smooth integrands, 1/2 as good on shadows in the
+mean but less even; see benchmarks/ablation.py."""
+
 NODE_KEYS = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xFF51AFD7ED558CCD]
     + [0xC4CEB9FE1A85EC53, 0x94D049BB133111EB, 0xBF58476D1CE4E5B9, 0x27D4EB2F165667C5, 0x8CB92BA72F3D8DD7],
@@ -108,6 +114,8 @@ class Regions:
     density : (R,) nested error, |Simpson - trapezoid|, as a mean over the region (thesis eq. 4.8).
     axis : (R,) the dimension to halve: that of the largest error among those that may be halved.
     gain : (R,) the error in that dimension, 0 if none may.
+    surprise : (m, R) how far new nodes were from what the region that was halved in that dimension had
+        said of them; inf where none was. Of a smooth integrand it is far less than the nested error.
     """
 
     start: np.ndarray
@@ -117,6 +125,7 @@ class Regions:
     density: np.ndarray
     axis: np.ndarray
     gain: np.ndarray
+    surprise: np.ndarray
 
     def __len__(self) -> int:
         return len(self.volume)
@@ -130,6 +139,7 @@ class Regions:
             self.density[part],
             self.axis[part],
             self.gain[part],
+            self.surprise[:, part],
         )
 
 
@@ -185,9 +195,10 @@ class RegionTree:
             np.empty(count),
             np.empty(count, np.int8),
             np.empty(count),
+            np.full((m, count), np.inf),
         )
         self._count = count
-        offset = np.indices((3,) * m).reshape(m, -1)
+        offset = np.indices((3,) * m).reshape(m, 3**m)
         place = start[:, :, None] + (offset[:, None, :] << (size.astype(np.int64)[:, :, None] - 1))
         place = place.reshape(m, -1)
         self.regions.nodes[:] = self.store.slots(place, self._key(place)).reshape(count, -1)
@@ -258,6 +269,7 @@ class RegionTree:
             grown(r.density, 0),
             grown(r.axis, 0),
             grown(r.gain, 0),
+            grown(r.surprise, 1),
         )
 
     def _halve(self, chosen: np.ndarray, d: int) -> None:
@@ -265,7 +277,7 @@ class RegionTree:
         r, m = self.regions, self.dimensions
         count, faces = len(chosen), 3 ** (m - 1)
         # Along d a region's 3 nodes become 5, of which the two new ones are asked for.
-        offset = np.indices((3,) * (m - 1)).reshape(m - 1, -1)
+        offset = np.indices((3,) * (m - 1)).reshape(m - 1, faces)
         start, log = r.start[:, chosen], r.size[:, chosen].astype(np.int64)
         place = np.empty((m, count, 2, faces), np.int64)
         others = [i for i in range(m) if i != d]
@@ -282,6 +294,8 @@ class RegionTree:
             return np.moveaxis(nodes.reshape(count, 3, *(3,) * (m - 1)), 1, 1 + d).reshape(count, -1)
 
         upper = slice(self._count, self._count + count)
+        r.surprise[:, upper] = r.surprise[:, chosen]
+        r.surprise[d, chosen], r.surprise[d, upper] = self._surprises(old, new)
         r.size[d, chosen] -= 1
         r.volume[chosen] *= 0.5
         r.nodes[chosen] = back(line[:, :3])
@@ -292,6 +306,17 @@ class RegionTree:
         r.nodes[upper] = back(line[:, 2:])
         self._count += count
 
+    def _surprises(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        """(2, n) mean distance of new nodes (n, 2, faces) from the quadratics through old ones (n, 3, faces)."""
+        out = np.zeros((2, len(old)))
+        weights = face_weights(self.dimensions - 1)
+        for channel in self.store.values:
+            low, middle, high = (channel.take(old[:, i]) for i in range(3))
+            for side, (near, far) in enumerate(((low, high), (high, low))):
+                said = 0.375 * near + 0.75 * middle - 0.125 * far
+                out[side] += np.abs(channel.take(new[:, side]) - said) @ weights
+        return out
+
     def _judge(self, part: slice | np.ndarray) -> None:
         """Nested errors of some regions, in slices that bound the memory."""
         index = np.arange(self._count)[part]
@@ -299,6 +324,10 @@ class RegionTree:
         for low in range(0, len(index), step):
             some = index[low : low + step]
             errors = nested_errors(self.store.values, self.regions.nodes[some], self.dimensions)
+            surprise = self.regions.surprise[:, some]
+            with np.errstate(invalid="ignore"):
+                tempered = errors ** (1 - TRUST) * surprise**TRUST
+            errors = np.where(surprise < errors, tempered, errors)
             self.regions.density[some] = errors.max(axis=0)
             errors[self.regions.size[:, some] <= self._smallest[:, None]] = 0
             self.regions.axis[some] = errors.argmax(axis=0)

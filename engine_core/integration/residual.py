@@ -17,7 +17,7 @@ import numpy as np
 from .control_variate import TileOfRegions
 from .integrand import StagedIntegrand, values_at
 from .point_sets import PointSet
-from .standard_error import Spread
+from .standard_error import SECOND, Spread
 
 EVEN = 0.2
 """Part of a bin's samples that is spread over its regions evenly: no weight exceeds 1 / EVEN."""
@@ -93,35 +93,38 @@ class ResidualSampler:
         error: np.ndarray,
         count: np.ndarray,
         chance: np.ndarray,
+        twice: np.ndarray,
         after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
     ) -> tuple[np.ndarray, Spread]:
         """Mean residual (C, B) of a tile's bins, and its spread.
 
         bins : B of the integrand's, sliceable. keys : (B,) uint32. count : (B,) powers of two, or 0.
         chance : (B,) that a bin was to be sampled; its mean is divided by it.
+        twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
         after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
         """
         overlaps = Overlaps(tile, density, error, self._even)
-        total = spread = None
-        for n in np.unique(count):
-            if n == 0:
-                continue
-            chosen = np.flatnonzero(count == n)
-            width = max(1, self._batch // int(n * self._split))
-            for low in range(0, len(chosen), width):
-                part = chosen[low : low + width]
-                residual, stage = self._residual(integrand, bins, keys, tile, overlaps, part, int(n))
-                if total is None:
-                    total = np.zeros((len(residual), len(count)))
-                    spread = Spread.zeros(*total.shape)
-                parts = residual.reshape(len(residual), len(part), min(int(n), 4), -1).mean(axis=3)
-                total[:, part] = parts.mean(axis=2) / chance[part]
-                spread.put(part, parts)
-                if after_batch is not None:
-                    after_batch(part, stage, int(n))
-        if total is None:
-            total = np.zeros((len(tile.channels), len(count)))
-            spread = Spread.zeros(*total.shape)
+        total = np.zeros((len(tile.channels), len(count)))
+        spread = Spread.empty(*total.shape)
+        by_chance = chance < 1
+        for bins_, keys_, again in ((count > 0, keys, False), ((count > 0) & twice, keys ^ SECOND, True)):
+            for n in np.unique(count[bins_]):
+                chosen = np.flatnonzero(bins_ & (count == n))
+                width = max(1, self._batch // int(n * self._split))
+                for low in range(0, len(chosen), width):
+                    part = chosen[low : low + width]
+                    residual, stage = self._residual(integrand, bins, keys_, tile, overlaps, part, int(n))
+                    halves = residual.reshape(len(residual), len(part), min(int(n), 2), -1).mean(axis=3)
+                    mean = halves.mean(axis=2) / chance[part]
+                    if again:
+                        spread.twice[:, part] = np.square(total[:, part] - mean) / 2
+                        mean = (total[:, part] + mean) / 2
+                    elif n > 1:
+                        spread.half[:, part] = np.square(halves[:, :, 0] - halves[:, :, 1]) / 4
+                    total[:, part] = mean
+                    if after_batch is not None:
+                        after_batch(part, stage, int(n))
+        spread.twice[:, by_chance] = np.square(total[:, by_chance])
         return total, spread
 
     def _residual(self, integrand, bins, keys, tile, overlaps, part, n) -> tuple[np.ndarray, Any]:

@@ -74,17 +74,19 @@ def hash_combine(*values: int | np.ndarray) -> np.ndarray:
     return state
 
 
-def owen_scramble(x: np.ndarray, seed: int) -> np.ndarray:
+def owen_scramble(x: np.ndarray, seed: int | np.ndarray) -> np.ndarray:
     """Nested uniform scrambling of 32-bit fractions: every bit is flipped by a coin of its higher bits.
 
     A (t, m, s)-net stays one, each point becomes uniform. Applied to an index it permutes a sequence
     so that aligned blocks of 2^k points stay blocks of 2^k points.
+    seed : of S scramblings (S, 1) for x (N,), which gives (S, N); a plain number gives (N,).
     """
-    flips = np.zeros_like(x)
-    coins = hash_combine(seed, np.arange(BITS))
+    coins = hash_combine(np.asarray(seed)[..., None], np.arange(BITS))
+    flips = np.zeros(np.broadcast_shapes(x.shape, np.shape(seed)), np.uint32)
     for bit in range(BITS):
         prefix = x >> np.uint32(BITS - bit) if bit else np.zeros_like(x)
-        coin = mix(mix(prefix ^ coins[bit]) + coins[bit]) >> np.uint32(31)
+        of_bit = coins[..., bit]
+        coin = mix(mix(prefix ^ of_bit) + of_bit) >> np.uint32(31)
         flips |= coin << np.uint32(BITS - 1 - bit)
     return x ^ flips
 

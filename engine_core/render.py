@@ -5,16 +5,23 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import repeat
 from threading import Event
+from typing import Any
 
 import numpy as np
 
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film
 from .integration.point_sets import staged_points
+from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
+from .integration.standard_error import Spread, standard_error
+from .refinement import FEWEST_SAMPLES, ControlVariatePicture, serves
 from .scene import Camera, Scene
 from .settings import Settings
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
@@ -27,6 +34,12 @@ PREPARED_SAMPLES = 1024
 
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
+
+QUADRATURE_SHARE = 16
+"""Samples that stand for one camera ray with a quadrature over the lights."""
+
+QUADRATURE_TOLERANCE = 1e-2
+"""Of each quadrature, in units of the picture's mean radiance."""
 
 # Light choices of all tiles are kept between passes while they are no more numbers than this.
 _KEPT_CHOICES = 1 << 25
@@ -118,12 +131,17 @@ class _Render:
         self._film.messages += self._integrand.messages
         self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
         self._points = staged_points(
-            settings.integrator,
+            "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
             self._integrand.screen_dimensions,
             self._integrand.rest_dimensions,
             self._split,
             settings.seed,
         )
+        self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
+        self._samples = settings.samples
+        if self._quadrature:
+            self._samples = max(1, self._samples // QUADRATURE_SHARE)
+        self._tolerance = 0.0
         self._threads = settings.threads or os.cpu_count() or 1
         self._tiles = _tiles(scene.camera, settings.tile_size or _tile_size(scene.camera, self._threads))
         x0, y0, x1, y1 = scene.camera.region
@@ -131,15 +149,23 @@ class _Render:
         cells = sum(len(tile.cells()[0]) for tile in self._tiles)
         self._keep_choices = cells * len(self._integrand.lights) <= _KEPT_CHOICES
         self._stop = Event()
-        self._done = 0
+        self._done = self._pass_work = 0
         self._counts = {"camera rays": 0, "shadow rays": 0, "non-finite samples": 0}
+        self._stages: dict[str, float] = {}
+        width, height = scene.camera.region_size
+        self._spread = Spread.empty(3, width * height) if settings.standard_error else None
         self._built = time.perf_counter()
 
     def run(self, executor: Executor | None) -> Film:
         own = executor is None
         pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
         try:
-            self._film.stopped_by = self._passes(pool)
+            ended = self._by_control_variates(pool)
+            if ended is None:
+                ended = self._passes(pool)
+                if self._spread is not None:
+                    self._tell_error()
+            self._film.stopped_by = ended
         finally:
             self._stop.set()
             if own:
@@ -147,15 +173,78 @@ class _Render:
         self._report()
         return self._film
 
+    # -- control variates --------------------------------------------------------------------------
+
+    def _by_control_variates(self, pool: Executor) -> str | None:
+        """Build, show, refine; returns why it ended, None if plain samples serve this picture better."""
+        settings = self._settings
+        alone = settings.integrator == "cv_only"
+        if settings.integrator != "control_variates" and not alone:
+            return None
+        if not serves(self._integrand) or (settings.samples < FEWEST_SAMPLES and not alone):
+            return None
+        begin = time.perf_counter()
+        picture = ControlVariatePicture(
+            self._integrand, settings, self._camera.region, self._film, self._check
+        )
+
+        def map_(function, items):
+            return list(pool.map(_quietly, repeat(function), items))
+
+        with ThreadPoolExecutor(1, "cv-render-build") as driver:
+            building = {driver.submit(_quietly, picture.build, map_): None}
+            outcome = next(iter(building))
+            ended = self._wait(
+                building, lambda future, _: None, lambda: "Building the control variate", always=True
+            )
+        built = time.perf_counter()
+        self._stages |= {
+            "regions": picture.regions,
+            "nodes": picture.nodes,
+            "seconds control variate": built - begin,
+        }
+        if ended:
+            return ended
+        helps = outcome.result()
+        if helps:
+            x0, y0, x1, y1 = self._camera.region
+            self._sink.tile(self._film, 0, 0, x1 - x0, y1 - y0)
+            order = sorted(range(len(picture)), key=picture.work, reverse=True)
+            self._pass_work, self._done = sum(map(picture.work, order)), 0
+
+            def done(samples: int) -> None:
+                self._done += samples
+
+            pending = {pool.submit(_quietly, picture.refine, number, done): number for number in order}
+
+            def finish(future: Future, number: int) -> None:
+                future.result()
+                self._sink.tile(self._film, *picture.box(number))
+
+            def text() -> str:
+                return f"Refining, {100 * min(self._done / max(self._pass_work, 1), 1):.0f} %"
+
+            ended = self._wait(pending, finish, text)
+            if settings.standard_error and not ended and not alone:
+                picture.finish()
+        counts = picture.integrand
+        self._counts["camera rays"] += counts.camera_rays
+        self._counts["shadow rays"] += counts.shadow_rays
+        self._counts["non-finite samples"] += counts.non_finite
+        return (ended or "samples") if helps else None
+
+    # -- plain samples -----------------------------------------------------------------------------
+
     def _passes(self, pool: Executor) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
-        settings = self._settings
+        if self._quadrature:
+            self._tolerance = QUADRATURE_TOLERANCE * self._mean_radiance()
         done = 0
-        while done < settings.samples:
+        while done < self._samples:
             tiles = [tile for tile in self._tiles if self._active[tile.blocks()].any()]
             if not tiles:
                 return "noise"
-            count = min(max(done, 1), settings.samples - done)
+            count = min(max(done, 1), self._samples - done)
             pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
             self._pass_work, self._done = pixels * count, 0
             ended = self._pass(pool, tiles, done, count)
@@ -164,26 +253,68 @@ class _Render:
             done += count
         return "samples"
 
+    def _mean_radiance(self) -> float:
+        """Of a few pixels all over the picture."""
+        number = np.unique(np.linspace(0, self._film.depth.size - 1, 1024).astype(np.int64))
+        y, x = np.divmod(number, self._film.depth.shape[1])
+        x0, y0 = self._camera.region[:2]
+        x, y = (x + x0).astype(np.int32), (y + y0).astype(np.int32)
+        cells, cell = np.unique(np.stack([y // CELL, x // CELL]), axis=1, return_inverse=True)
+        cell = cell.ravel()
+        order = np.argsort(cell, kind="stable")
+        pixels = Pixels(x[order], y[order], cell[order])
+        choice = self._integrand.choice_of_cells(cells[1], cells[0], self._check)
+        integrand = DirectLightOverTile(self._integrand, choice, self._check)
+        for group in self._points:
+            group.prepare(16)
+        with np.errstate(all="ignore"):
+            sums = sum_samples(integrand, pixels, pixels.key(), self._points, 0, 4, 1)
+        return float(sums.values[:3].mean() / 4)
+
     def _pass(self, pool: Executor, tiles: list[_Tile], start: int, count: int) -> str | None:
         # At once what most renders need in all: nets are not cheap to begin again.
-        needed = max(start + count, min(self._settings.samples, PREPARED_SAMPLES))
+        needed = max(start + count, min(self._samples, PREPARED_SAMPLES))
         self._points[0].prepare(needed)
         self._points[1].prepare(needed * self._split)
-        pending = {pool.submit(self._work, tile, start, count): tile for tile in tiles}
+        pending = {pool.submit(_quietly, self._work, tile, start, count): tile for tile in tiles}
+
+        def text() -> str:
+            part = min(self._done / max(self._pass_work, 1), 1.0)
+            return f"Sample {start + int(count * part)}/{self._samples}"
+
+        # A first sample everywhere comes before any limit, or there would be holes.
+        return self._wait(
+            pending, self._finish, text, start / self._samples, count / self._samples, always=start == 0
+        )
+
+    def _wait(
+        self,
+        pending: dict[Future, Any],
+        finish: Callable[[Future, Any], None],
+        text: Callable[[], str],
+        before: float = 0.0,
+        share: float = 1.0,
+        always: bool = False,
+    ) -> str | None:
+        """Report until all futures are done; returns why they were stopped, if they were.
+
+        before, share : what of the whole render was done before, and is done by these.
+        always : not to be stopped by the time limit.
+        """
         ended = None
         try:
             while pending:
                 finished, _ = wait(pending, POLL_SECONDS, FIRST_COMPLETED)
                 for future in finished:
-                    self._finish(future, pending.pop(future))
+                    with suppress(_Cancelled):
+                        finish(future, pending.pop(future))
                 elapsed = time.perf_counter() - self._begin
-                self._tell(start, count, elapsed)
+                self._tell(before, share, elapsed, text())
                 if ended is None:
                     limit = self._settings.time_limit
-                    # A first sample everywhere comes before any limit, or there would be holes.
                     if self._sink.cancelled():
                         ended = "cancel"
-                    elif limit and elapsed >= limit and start > 0:
+                    elif limit and elapsed >= limit and not always:
                         ended = "time"
                     if ended:
                         self._stop.set()
@@ -198,23 +329,19 @@ class _Render:
         return ended
 
     def _finish(self, future: Future, tile: _Tile) -> None:
-        try:
-            future.result()
-        except _Cancelled:
-            return
+        future.result()
         x0, y0 = self._camera.region[:2]
         self._sink.tile(self._film, tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
 
-    def _tell(self, start: int, count: int, elapsed: float) -> None:
-        total = self._settings.samples
+    def _tell(self, before: float, share: float, elapsed: float, text: str) -> None:
         part = min(self._done / max(self._pass_work, 1), 1.0)
-        fraction = min((start + count * part) / total, 1.0)
+        fraction = min(before + share * part, 1.0)
         rendering = time.perf_counter() - self._built
         remaining = rendering * (1 - fraction) / fraction if fraction > 0.01 else None
         limit = self._settings.time_limit
         if limit and remaining is not None:
             remaining = min(remaining, max(limit - elapsed, 0.0))
-        self._sink.progress(fraction, elapsed, remaining, f"Sample {start + int(count * part)}/{total}")
+        self._sink.progress(fraction, elapsed, remaining, text)
 
     # -- in the workers ----------------------------------------------------------------------------
 
@@ -223,10 +350,6 @@ class _Render:
             raise _Cancelled
 
     def _work(self, tile: _Tile, start: int, count: int) -> None:
-        with np.errstate(all="ignore"):  # a state of each thread's own
-            self._render_tile(tile, start, count)
-
-    def _render_tile(self, tile: _Tile, start: int, count: int) -> None:
         """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
         self._check()
         pixels = tile.pixels()
@@ -235,34 +358,41 @@ class _Render:
         choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
         if self._keep_choices:
             tile.choice = choice
-        integrand = DirectLightOverTile(self._integrand, choice)
+        integrand = DirectLightOverTile(self._integrand, choice, self._check)
         column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
         film = self._film
 
         def after_first(part: slice, first: int, hits) -> None:
-            self._check()
             depth = hits.depth.reshape(part.stop - part.start, -1)
             if first == 0:
                 film.depth[row[part], column[part]] = np.minimum(depth[:, 0], FAR)
             self._done += depth.size
 
-        sums = sum_samples(
-            integrand,
-            pixels,
-            pixels.key(),
-            self._points,
-            start,
-            count,
-            self._split,
-            self._settings.batch_size,
-            after_first,
-        )
+        if self._quadrature:
+            sums = sum_quadrature(
+                integrand, pixels, pixels.key(), self._points[0], start, count, self._tolerance, after_first
+            )
+        else:
+            sums = sum_samples(
+                integrand,
+                pixels,
+                pixels.key(),
+                self._points,
+                start,
+                count,
+                self._split,
+                self._settings.batch_size,
+                after_first,
+            )
         mean = np.minimum(sums.values / count, LARGEST).astype(np.float32)
         before = film.combined[row, column].T
         if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
             channels = slice(0, 4 if self._settings.transparent else 3)
             self._retire_blocks(pixels, before[channels], mean[channels])
         share = np.float32(count / (start + count))
+        if self._spread is not None and start == count:
+            number = row.astype(np.int64) * film.depth.shape[1] + column
+            self._spread.half[:, number] = np.square(before[:3] - mean[:3]) / 4
         film.combined[row, column] = (before + (mean[:4] - before) * share).T
         if self._settings.normals:
             old = film.normal[row, column].T
@@ -289,6 +419,14 @@ class _Render:
         quiet = error <= self._settings.noise_threshold * np.sqrt(brightness)
         self._active.reshape(-1)[block[quiet]] = False
 
+    def _tell_error(self) -> None:
+        """Fill the film's standard error, from the halves of what every pixel got in its last whole pass."""
+        count = self._film.sample_count
+        error = standard_error(
+            self._spread, np.minimum(count.ravel(), 2), count.shape, independent=True
+        ).reshape(3, *count.shape)
+        self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
+
     def _report(self) -> None:
         end = time.perf_counter()
         film = self._film
@@ -303,7 +441,14 @@ class _Render:
             "threads": self._threads,
             "seconds building": self._built - self._begin,
             "seconds rendering": end - self._built,
+            **self._stages,
         }
+
+
+def _quietly(function: Callable, *arguments: Any) -> Any:
+    """What over- or underflows is dealt with where it matters; NumPy's state is each thread's own."""
+    with np.errstate(all="ignore"):
+        return function(*arguments)
 
 
 def _light_samples(lights: int) -> int:

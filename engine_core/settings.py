@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from .errors import SceneError
 from .scene.validation import set_integer, set_number
 
-INTEGRATORS = ("sobol", "monte_carlo")
+INTEGRATORS = ("control_variates", "sobol", "monte_carlo", "quadrature", "cv_only")
 MAX_SAMPLES = 1 << 20
 
 
@@ -18,7 +18,10 @@ class Settings:
 
     samples : camera rays a pixel, at most; powers of two serve the Sobol sequence best.
     light_samples : shadow rays for each camera ray, 0 to choose by the lights.
-    integrator : "sobol" (Owen-scrambled Sobol points) or "monte_carlo" (pseudo-random points).
+    integrator : "control_variates" (polynomials, and Sobol points where these leave an error; with more
+        than 64 lights, or less than 4 samples, Sobol points alone), "sobol" (Owen-scrambled Sobol points),
+        "monte_carlo" (pseudo-random points), "quadrature" (nested adaptive quadrature over the lights: no
+        noise but an error of its own), "cv_only" (the polynomials alone: as little noise, and biased).
     seed : another seed is another, independent estimate of the same picture.
     noise_threshold : stop a block of pixels when its estimated standard error, relative to the
         square root of its brightness (as in Cycles), falls below this; 0 never stops early.
@@ -26,7 +29,7 @@ class Settings:
     time_limit : seconds after which no further pass begins; 0 is none.
     threads : worker threads, 0 for one a processor.
     transparent : the background has alpha 0 and no radiance.
-    normals : fill `Film.normal` too.
+    normals : fill `Film.normal` too. standard_error : fill `Film.standard_error` too.
     tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
         picture's size.
     batch_size : samples traced together; a batch should fit the processor's cache.
@@ -42,6 +45,7 @@ class Settings:
     threads: int = 0
     transparent: bool = False
     normals: bool = False
+    standard_error: bool = False
     tile_size: int = 0
     batch_size: int = 32768
 

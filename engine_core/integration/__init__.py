@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How integrals over primary space are estimated. Knows nothing of light.
 
-    integrate(f, ndim=4, bins=(256, 256), samples=64).value
+integrate(f, ndim=4, bins=(256, 256), samples=64).value
 """
 
 from .control_variates import ControlVariates

@@ -40,8 +40,12 @@ class NodeEvaluator:
         inner: InnerRule | None,
         seed: int,
         map_: Callable[[Callable, Iterable], list],
+        channels: int | None = None,
     ) -> None:
-        """bins_at : index (K, N) -> the integrand's bins. dimensions : m, those of the tree."""
+        """bins_at : index (K, N) -> the integrand's bins. dimensions : m, those of the tree.
+
+        channels : how many of the integrand's are approximated, None for all.
+        """
         self._integrand = integrand
         self._bins = bins
         self._bins_at = bins_at
@@ -49,6 +53,7 @@ class NodeEvaluator:
         self._inner = inner
         self._seed = seed
         self._map = map_
+        self._channels = slice(channels)
         self.cost = inner.count if inner else 1
         self.evaluations = 0
 
@@ -57,7 +62,9 @@ class NodeEvaluator:
         order = None
         if self._integrand.staged and self._covered > len(self._bins):
             # Nodes that differ in the rest alone share a first stage, if they are in one batch.
-            key = np.einsum("dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)])
+            key = np.einsum(
+                "dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)]
+            )
             order = np.argsort(key, kind="stable")
             place = place[:, order]
         step = max(1, BATCH // self.cost)
@@ -85,8 +92,10 @@ class NodeEvaluator:
         rest = np.ldexp(place[k:].astype(np.float64), -WHOLE)
         points, lane = screen.shape[1], None if len(lanes) == screen.shape[1] else lanes
         if self._inner is None:
-            return values_at(self._integrand, stage, points, lane, rest), None, place.shape[1]
-        return self._inner.integrate(self._integrand, stage, points, lanes, rest, self._seed)
+            values = values_at(self._integrand, stage, points, lane, rest)
+            return values[self._channels], None, place.shape[1]
+        values, spread, cost = self._inner.integrate(self._integrand, stage, points, lanes, rest, self._seed)
+        return values[self._channels], spread, cost
 
 
 def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | None:
@@ -102,9 +111,7 @@ def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | No
     return min(cheap) if cheap else min(fitting, key=lambda log: (cost(log), log))
 
 
-def grow(
-    tree: RegionTree, evaluator: NodeEvaluator, budget: float, samples: float, max_regions: int
-) -> bool:
+def grow(tree: RegionTree, evaluator: NodeEvaluator, budget: float, samples: float, max_regions: int) -> bool:
     """Halve the worst regions until ``budget`` evaluations are spent; False if no polynomial helps.
 
     samples : residual samples to come, in all; no region is halved that would hold less than one.

@@ -15,7 +15,6 @@ from .allocation import neighbourly
 from .regions import BIN, WHOLE, Regions, RegionTree, face_weights
 from .rules import bin_means, lagrange
 
-
 _LOG_BINS = 14
 """log2 of a tile's bins, about: enough for full batches of samples, few enough for the cache."""
 
@@ -44,7 +43,7 @@ class TileOfRegions:
         self._bins = bins = len(low)
         self._dimensions = m = len(regions.start)
         if m > bins:
-            regions = regions[np.lexsort(regions.start[:bins - 1 : -1])]
+            regions = regions[np.lexsort(regions.start[: bins - 1 : -1])]
         self.regions = regions
         self._values = values
         self.channels = range(len(values))
@@ -75,7 +74,9 @@ class TileOfRegions:
             slots = np.zeros((len(chosen),) + (1,) * self._bins, np.int64)
             for d, (log, stride) in enumerate(zip(logs, strides, strict=True)):
                 along = (self.start_bin[d, chosen][:, None] + np.arange(1 << log)) * stride
-                slots = slots + along.reshape(len(chosen), *(1 << log if i == d else 1 for i in range(self._bins)))
+                slots = slots + along.reshape(
+                    len(chosen), *(1 << log if i == d else 1 for i in range(self._bins))
+                )
             groups.append((chosen, logs, slots.reshape(len(chosen), -1)))
         return groups
 

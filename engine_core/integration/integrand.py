@@ -8,7 +8,7 @@ expensive first stage may serve many points of the rest. A plain function is the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any, Protocol
@@ -47,7 +47,8 @@ class StagedIntegrand(Protocol):
         """The rest at u (D2, M, S), S points for each of the stage's M lanes; N = M S in all.
 
         lane : (N,) chooses lanes instead, and u is (D2, N).
-        Returns (K,) which of the N are not 0, None for all in order, and their values (C', K), C' <= C.
+        Returns (K,) which of the N have a value, None for all in order, and the values (C', K), C' <= C.
+        Of several values of one, the sum is meant.
         """
         ...
 
@@ -90,7 +91,8 @@ def values_at(
     if which is None:
         out[: len(values)] += values
     else:
-        out[: len(values), which] += values
+        for row, value in zip(out, values, strict=False):
+            row += np.bincount(which, value, count)
     return out
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from .sobol import MAX_DIMENSIONS, hash_combine, mix, owen_scramble, sobol, unit_float
 
-
 SCRAMBLINGS = 16
 
 

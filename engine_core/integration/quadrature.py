@@ -9,15 +9,17 @@ the trapezoidal rule on the same nodes, whose difference decides what is bisecte
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .integrand import FirstStage, StagedIntegrand
-from .point_sets import SobolPoints
+from .point_sets import PointSet, SobolPoints
 from .result import Result
 from .rules import SIMPSON
+from .sample_mean import Sums
 from .standard_error import Spread, standard_error
 
 if TYPE_CHECKING:
@@ -101,8 +103,9 @@ def _values(integrand: StagedIntegrand, stage: FirstStage, lane: np.ndarray, u: 
     for start in range(0, max(1, u.shape[1]), _BATCH):
         at = lane[start : start + _BATCH]
         which, found = integrand.rest(stage, at, u[:, start : start + _BATCH])
-        values = np.zeros((len(found), len(at)))
-        values[:, slice(None) if which is None else which] = found
+        values = found
+        if which is not None:
+            values = np.stack([np.bincount(which, row, len(at)) for row in found])
         parts.append(values)
     return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
 
@@ -306,3 +309,38 @@ class Quadrature:
             evaluations=pilot + sum(counts),
             non_finite=integrand.non_finite,
         )
+
+
+def sum_quadrature(
+    integrand: StagedIntegrand,
+    bins: Any,
+    keys: np.ndarray,
+    points: PointSet,
+    start: int,
+    count: int,
+    tolerance: float,
+    after_first: Callable[[slice, int, FirstStage], None] | None = None,
+) -> Sums:
+    """As `sum_samples`, with the rest integrated by nested quadrature at every point of the first stage.
+
+    tolerance : of each integral, absolute.
+    """
+    total = None
+    step = max(1, _BATCH // (27 * count))
+    for low in range(0, len(keys), step):
+        part = slice(low, min(low + step, len(keys)))
+        width = part.stop - part.start
+        stage = integrand.first(bins[part], points.points(keys[part], start, count))
+        if after_first is not None:
+            after_first(part, start, stage)
+        lane = np.arange(width * count) if stage.lane is None else stage.lane
+        values = np.zeros((0, len(lane)))
+        if len(lane):
+            values = integrate_rest(integrand, stage, len(lane), tolerance)[0]
+        if total is None:
+            total = np.zeros((len(values) if stage.values is None else len(stage.values), len(keys)))
+        if stage.values is not None:
+            total[:, part] += stage.values.reshape(-1, width, count).sum(axis=2)
+        for channel, value in zip(total, values, strict=False):
+            channel[part] += np.bincount(lane // count, value, width)
+    return Sums(total, count)

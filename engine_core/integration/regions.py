@@ -325,9 +325,9 @@ class RegionTree:
             some = index[low : low + step]
             errors = nested_errors(self.store.values, self.regions.nodes[some], self.dimensions)
             surprise = self.regions.surprise[:, some]
-            with np.errstate(invalid="ignore"):
-                tempered = errors ** (1 - TRUST) * surprise**TRUST
-            errors = np.where(surprise < errors, tempered, errors)
+            # A ratio, so that a power of two in the integrand is the same one here, to the last bit.
+            less = surprise < errors
+            errors[less] *= (surprise[less] / errors[less]) ** TRUST
             self.regions.density[some] = errors.max(axis=0)
             errors[self.regions.size[:, some] <= self._smallest[:, None]] = 0
             self.regions.axis[some] = errors.argmax(axis=0)

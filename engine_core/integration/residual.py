@@ -39,7 +39,9 @@ class Overlaps:
             return
         total = error.take(pairs.bin)
         share = pairs.volume * density.take(pairs.region)
-        chance = np.where(total > 0, even * pairs.volume + (1 - even) * share / np.where(total > 0, total, 1), 0)
+        chance = np.where(
+            total > 0, even * pairs.volume + (1 - even) * share / np.where(total > 0, total, 1), 0
+        )
         chance = np.where(total > 0, chance, pairs.volume)
         running = np.cumsum(chance)
         begin = np.concatenate([[0.0], running])[pairs.first[:-1]]

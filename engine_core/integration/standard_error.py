@@ -19,7 +19,7 @@ NEAR, FAR = 2, 8
 FEWEST = 64
 """Bins of a picture below which none is sampled twice, and samples count as independent."""
 
-TRUST_OF_ALL = 4.0
+TRUST_OF_ALL = 1.0
 """How many bins' worth the whole picture weighs beside a bin's neighbourhood."""
 
 FEW, TYPICAL = 2.0, 0.5
@@ -84,7 +84,9 @@ def standard_error(
     # Bins with halves: these, pooled over neighbours in proportion to what was predicted.
     halves = count >= 2
     expected = square * np.maximum(count, 1) ** -1.5
-    evidence = _pooled(np.where(halves, spread.half, 0), np.where(halves, expected, 0), shape, NEAR) * expected
+    evidence = (
+        _pooled(np.where(halves, spread.half, 0), np.where(halves, expected, 0), shape, NEAR) * expected
+    )
     # Of a single sample nothing is known but what was predicted, whether it was drawn or not.
     single = count < 2
     evidence[:, single] = (square / chance)[single]
@@ -102,7 +104,9 @@ def standard_error(
             whole = (truth.sum(axis=1) + TYPICAL * few) / np.maximum(basis.sum(axis=1) + few, 1e-300)
             prior = TRUST_OF_ALL * basis.sum(axis=1) / seen.sum()
             near = _box(truth.reshape(shape), FAR).reshape(channels, total) + (whole * prior)[:, None]
-            scale = near / np.maximum(_box(basis.reshape(shape), FAR).reshape(channels, total) + prior[:, None], 1e-300)
+            scale = near / np.maximum(
+                _box(basis.reshape(shape), FAR).reshape(channels, total) + prior[:, None], 1e-300
+            )
         variance[:, kind] = (evidence * scale)[:, kind]
     variance[:, twice & (chance >= 1)] /= 2
     variance[np.isnan(variance)] = np.inf

@@ -2,7 +2,7 @@
 """Direct illumination as a staged function of primary space.
 
     first : (screen 2)            -> camera hits, and what is seen without another dimension
-    rest  : (light 2, light choice 1) -> radiance reflected at those hits
+    rest  : (light 2, light choice 1) -> radiance reflected at those hits (one light needs no choice)
 
     L_o = integral over the lights of f L_e V cos cos' / d^2 dA      (thesis eq. 5.1)
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from .light_choice import (
     PILOT_GRID,
     WEIGHED,
     CandidateLights,
+    EveryLight,
     LightChoice,
     Lights,
     WeighedLights,
@@ -85,7 +87,7 @@ class CameraHits:
 
 @dataclass(eq=False)
 class Reflected:
-    """Light samples that arrive: which (K,) of the N, and their radiance (3, K).
+    """Light samples that arrive: which (K,) of the N, more than once for several lights; radiance (3, K).
 
     shadow_rays : how many rays that took. non_finite : samples that were not finite, and count as 0.
     """
@@ -100,10 +102,10 @@ class DirectLight:
     """The integrand of a scene: rays, surfaces, emitters. Shared by all threads.
 
     messages : what of the scene is left out, one sentence each.
+    rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     """
 
     screen_dimensions = 2
-    rest_dimensions = 3
 
     def __init__(self, scene: Scene, transparent: bool = False, normals: bool = False) -> None:
         """transparent : the background has no radiance and alpha 0. normals : integrate them too."""
@@ -116,6 +118,10 @@ class DirectLight:
         self.lights = Lights(self.emitters)
         self._weighed = WeighedLights(self.lights)
         self.messages += messages
+        self.any_mesh = any(group.is_mesh for group in self.emitters)
+        self.rest_dimensions = 3 if len(self.lights) > 1 or self.any_mesh else 2
+        self.only_points = all(group.is_point for group in self.emitters)
+        self.transparent = transparent or self._surfaces.any_holdout
         self.channels = 7 if normals else 4
         self._normals = normals
         self._transparent = transparent
@@ -217,14 +223,18 @@ class DirectLight:
         return CameraHits(values, points, depth, cell)
 
     def rest(
-        self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray, choice: LightChoice | None
+        self,
+        hits: CameraHits,
+        lane: np.ndarray | None,
+        u: np.ndarray,
+        choice: LightChoice | EveryLight | None,
     ) -> Reflected:
         """Reflected radiance at u (3, M, S), S points for each of the M hits.
 
-        u : two dimensions on the light, and the light choice; (3, N) for hits ``lane`` (N,).
+        u : two dimensions on the light, and the choice if there is one; (3, N) for hits ``lane`` (N,).
         """
         points = hits.points
-        if len(self.lights) == 0 or u.size == 0:
+        if len(self.lights) == 0 or u.size == 0 or len(points) == 0:
             return Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
         split = u.shape[2] if lane is None else 1
         at = lane if split == 1 else np.repeat(np.arange(len(points)), split)
@@ -232,8 +242,9 @@ class DirectLight:
         if len(self.lights) == 1:
             light = None
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
-            u = u.reshape(3, -1)
-            to_light, weight = self.emitters[0].sample(None, position, normal, u[2], u[:2])
+            u = u.reshape(len(u), -1)
+            # Only a mesh has a use for the third, its choice of a triangle.
+            to_light, weight = self.emitters[0].sample(None, position, normal, u[-1], u[:2])
             at_infinity, is_mesh = self.emitters[0].at_infinity, self.emitters[0].is_mesh
         else:
             if lane is None:
@@ -241,16 +252,23 @@ class DirectLight:
             else:
                 position, normal = take(points.position, lane), take(points.normal, lane)
                 cell = None if hits.cell is None else hits.cell.take(lane)
-            light, pdf, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
             # Side by side, samples of one light run through the same code and towards the same place.
-            order = np.argsort(light.astype(self._light_number), kind="stable")
-            light, pdf, w = light.take(order), pdf.take(order), w.take(order)
+            if isinstance(choice, EveryLight):
+                count, pdf = u[0].size, None
+                order = np.tile(np.arange(count), len(self.lights))
+                light = np.repeat(np.arange(len(self.lights)), count)
+                w = u[-1].reshape(-1).take(order)
+            else:
+                light, pdf, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
+                order = np.argsort(light.astype(self._light_number), kind="stable")
+                light, pdf, w = light.take(order), pdf.take(order), w.take(order)
             at = order if at is None else at.take(order)
             position, normal = take(points.position, at), take(points.normal, at)
             to_light, weight, at_infinity, is_mesh = self._sample_sorted(
                 light, position, normal, w, take(u[:2].reshape(2, -1), order)
             )
-            weight /= pdf
+            if pdf is not None:
+                weight /= pdf
         cosine = dot(normal, to_light)
         cosine /= np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-37)))
         weight = weight * np.maximum(cosine, 0)
@@ -322,28 +340,47 @@ class DirectLight:
 class DirectLightOverTile:
     """The integrand with one tile's light choice, and what its evaluation cost.
 
+    check : called before every batch; may raise, to give up.
     camera_rays, shadow_rays, non_finite : counts so far.
     """
 
-    rest_dimensions = DirectLight.rest_dimensions
     staged = True
 
-    def __init__(self, integrand: DirectLight, choice: LightChoice | None) -> None:
+    def __init__(
+        self,
+        integrand: DirectLight,
+        choice: LightChoice | EveryLight | None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
         self._integrand = integrand
         self._choice = choice
+        self._check = check
+        self.rest_dimensions = 2 if isinstance(choice, EveryLight) else integrand.rest_dimensions
+        self._counting = Lock()
         self.camera_rays = self.shadow_rays = self.non_finite = 0
 
     def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
-        self.camera_rays += u[0].size
-        return self._integrand.first(pixels, u)
+        self._check()
+        with self._counting:
+            self.camera_rays += u[0].size
+        return self._integrand.first(pixels, _inset(u))
 
-    def rest(
-        self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        reflected = self._integrand.rest(hits, lane, u, self._choice)
-        self.shadow_rays += reflected.shadow_rays
-        self.non_finite += reflected.non_finite
+    def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        reflected = self._integrand.rest(hits, lane, _inset(u), self._choice)
+        with self._counting:
+            self.shadow_rays += reflected.shadow_rays
+            self.non_finite += reflected.non_finite
         return reflected.which, reflected.radiance
+
+
+def _inset(u: np.ndarray) -> np.ndarray:
+    """Points as float32 inside the open cube: nodes of a quadrature rule lie on its faces.
+
+    There are poles, rims of lights and edges of pixels, whose limits from inside are what is meant.
+    """
+    if u.dtype == np.float32:
+        return u
+    return np.clip(u, 2.0**-24, 1 - 2.0**-24).astype(np.float32)
 
 
 def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:

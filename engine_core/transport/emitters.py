@@ -41,11 +41,12 @@ class Emitters:
     strength : (3, L) float32, radiance times size.
     size : (L,) float64, 0 where a light has none.
     casts_shadow : (L,) bool.
-    at_infinity : no distance; a mesh: part of the traced triangles.
+    at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     """
 
     at_infinity = False
     is_mesh = False
+    is_point = False
 
     def __init__(self, strength: np.ndarray, size: np.ndarray, casts_shadow: Sequence[bool]) -> None:
         """strength : (L, 3) float64. size : (L,) float64, 0 where a light has none."""
@@ -173,6 +174,8 @@ class _Points(Emitters):
 
 class PointEmitters(_Points):
     """Lights without size. Measure: 1 / d^2."""
+
+    is_point = True
 
     def sample(self, which, position, normal, w, u):
         to_light = _of(self._position, which) - position
@@ -410,6 +413,7 @@ class SunEmitters(Emitters):
         self._sin = np.sin(half).astype(np.float32)
         self._frames = basis(self._axis)
         self._any_size = bool((half > 0).any())
+        self.is_point = not self._any_size
         self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera and light.angle > 0]
 
     def sample(self, which, position, normal, w, u):

@@ -97,6 +97,13 @@ class WeighedLights:
         return _joined(parts)
 
 
+class EveryLight:
+    """No choice: every light is sampled, all at the same point of primary space, and the sum is one value.
+
+    What is summed is smooth where a choice would jump from light to light (thesis eq. 4.1).
+    """
+
+
 class CandidateLights:
     """For each of K cells, the lights that matter there weighed at every point, the others by their mean."""
 

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A picture by control variates: built, shown whole, and refined where its error is.
+
+The same parts as `integration.control_variates`, in the renderer's own batches: pixels are the bins,
+the first axis running to the right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from .image.film import FAR, LARGEST, Film
+from .integration.allocation import sample_counts
+from .integration.build import NodeEvaluator, grow, root_edge
+from .integration.control_variate import ControlVariate, TileOfRegions
+from .integration.control_variates import TWICE_ONE_IN, ControlVariates
+from .integration.inner_rules import Net
+from .integration.point_sets import staged_points
+from .integration.regions import RegionTree
+from .integration.residual import ResidualSampler
+from .integration.standard_error import Spread, sampled_twice, standard_error
+from .settings import Settings
+from .transport.direct_light import ALPHA, NORMAL, CameraHits, DirectLight, DirectLightOverTile, Pixels
+from .transport.light_choice import EveryLight
+
+FEWEST_SAMPLES = 4
+"""Samples a pixel below which nodes would cost more than they tell."""
+
+MOST_LIGHTS = 8
+"""Lights that are summed at every evaluation; more are chosen among, which no polynomial follows."""
+
+MOST = 1 << 14
+"""Samples of a pixel at most: nets are made for the longest."""
+
+Map = Callable[[Callable, Iterable], list]
+
+
+class ControlVariatePicture:
+    """H of a whole picture, and the residual of its tiles.
+
+    regions, nodes : how many there are.
+    """
+
+    def __init__(
+        self,
+        integrand: DirectLight,
+        settings: Settings,
+        region: tuple[int, int, int, int],
+        film: Film,
+        check: Callable[[], None],
+    ) -> None:
+        """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
+        self._direct_light = integrand
+        self._settings = settings
+        self._corner = region[:2]
+        self._film = film
+        self._check = check
+        self._bins = (region[2] - region[0], region[3] - region[1])
+        self._channels = 4 if integrand.transparent else 3
+        choice = EveryLight() if len(integrand.lights) > 1 else None
+        self.integrand = DirectLightOverTile(integrand, choice, check)
+        # Light without size leaves nothing to integrate but the pixel.
+        self.covered, self._inner = (2, Net(1)) if integrand.only_points else (4, None)
+        self._options = ControlVariates()
+        self.regions = self.nodes = 0
+
+    def build(self, map_: Map) -> bool:
+        """Build the polynomials and write their means into the film; False where they do not help.
+
+        map_ : runs a function over items on the workers, and returns the results in order.
+        """
+        settings, bins = self._settings, self._bins
+        alone = settings.integrator == "cv_only"
+        total = float(settings.samples) * bins[0] * bins[1]
+        evaluator = NodeEvaluator(
+            self.integrand,
+            bins,
+            self._pixels,
+            self.covered,
+            self._inner,
+            settings.seed,
+            map_,
+            self._channels,
+        )
+        budget = total * (1.0 if alone else self._options.share)
+        log_edge = root_edge(bins, self.covered, budget / evaluator.cost)
+        if log_edge is None:
+            return False
+        tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False)
+        helps = grow(tree, evaluator, budget, total, self._options.max_regions)
+        self.regions, self.nodes = len(tree), tree.store.count
+        if not (helps or alone):
+            return False
+        self._left = total - evaluator.evaluations
+        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
+        self._mean = np.zeros((self._channels, *bins))
+        self._error = np.zeros(bins)
+        self._tiles = map_(self._integrate, range(len(self._variate)))
+        self._write(slice(None), slice(None), self._mean)
+        self._film.control_variate[:] = self._mean[:3].transpose(2, 1, 0)
+        if self._channels == 3:
+            self._film.combined[..., ALPHA] = 1
+        self._alone = alone
+        if alone:
+            self._due, self._twice = np.ones(bins, np.int64), np.zeros(bins, bool)
+            self._points = staged_points("sobol", 2, 0, 1, settings.seed + 1)
+            self._points[0].prepare(1)
+        else:
+            self._allocate()
+        return True
+
+    def _pixels(self, index: np.ndarray) -> Pixels:
+        x, y = index[0] + self._corner[0], index[1] + self._corner[1]
+        return Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(x), np.int32))
+
+    def _integrate(self, number: int) -> TileOfRegions:
+        self._check()
+        tile = self._variate.tile(number)
+        mean, error = tile.means(self._variate.spread)
+        self._mean[(slice(None), *tile.index)], self._error[tuple(tile.index)] = mean, error
+        return tile
+
+    def _allocate(self) -> None:
+        settings, bins = self._settings, self._bins
+        twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed)
+        samples = self._left / (1 + twice.mean())
+        # Every pixel gets one: depth and alpha are known from samples alone.
+        due, _ = sample_counts(self._error.ravel(), samples, self._options.defensive, 1.0)
+        due = np.minimum(due, MOST).reshape(bins)
+        if settings.noise_threshold:
+            brightness = np.sqrt(np.maximum(self._mean[:3].mean(axis=0), 0))
+            wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
+            # The error of a net falls about as n^-3/4.
+            enough = np.ceil(np.log2(np.maximum(self._error / wanted, 1)) * 4 / 3).astype(np.int64)
+            least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
+            due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
+        self._due, self._twice = due, twice.reshape(bins)
+        self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
+        for group in self._points:
+            group.prepare(int(due.max()))
+        self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
+        self._spread = Spread.empty(self._channels, self._error.size)
+
+    def __len__(self) -> int:
+        """How many tiles there are to refine."""
+        return len(self._tiles)
+
+    def box(self, number: int) -> tuple[int, int, int, int]:
+        """x0, y0, x1, y1 of a tile in the film."""
+        x, y = self._tiles[number].index
+        return int(x[0]), int(y[0]), int(x[-1]) + 1, int(y[-1]) + 1
+
+    def work(self, number: int) -> int:
+        """Samples that a tile takes."""
+        where = tuple(self._tiles[number].index)
+        return int((self._due[where] * (1 + self._twice[where])).sum())
+
+    def refine(self, number: int, done: Callable[[int], None]) -> None:
+        """Sample a tile's residual and write it into the film. done : called with samples done."""
+        tile = self._tiles[number]
+        where = tuple(tile.index)
+        due, twice = self._due[where], self._twice[where]
+        pixels = self._pixels(tile.index)
+        if self._alone:
+            self._look(tile, pixels, done)
+            return
+        depth = np.full(len(due), FAR)
+        seen = np.zeros((self._direct_light.channels - ALPHA, len(due)))
+
+        def after_batch(part: np.ndarray, hits: CameraHits, n: int) -> None:
+            depth[part] = np.minimum(hits.depth.reshape(len(part), n)[:, 0], FAR)
+            seen[:, part] += hits.values[ALPHA:].reshape(len(seen), len(part), n).sum(axis=2)
+            done(len(part) * n)
+
+        density = tile.density(self._variate.spread)
+        mean, spread = self._sampler.sample(
+            self.integrand,
+            pixels,
+            pixels.key(),
+            tile,
+            density,
+            self._error[where],
+            due,
+            np.ones(len(due)),
+            twice,
+            after_batch,
+        )
+        count = due * (1 + twice)
+        seen /= count
+        self._spread.store(where[0] * self._bins[1] + where[1], spread)
+        film = self._film
+        self._write(*where, self._mean[(slice(None), *where)] + mean)
+        film.residual[where[1], where[0]] = mean[:3].T
+        film.sample_count[where[1], where[0]] = count
+        film.depth[where[1], where[0]] = depth
+        if self._channels == 3:
+            film.combined[where[1], where[0], ALPHA] = seen[0]
+        if self._settings.normals:
+            film.normal[where[1], where[0]] = seen[NORMAL.start - ALPHA :].T
+
+    def _look(self, tile: TileOfRegions, pixels: Pixels, done: Callable[[int], None]) -> None:
+        """One camera ray a pixel: the polynomials know neither depth nor normals."""
+        x, y = tile.index
+        step = self._settings.batch_size
+        for low in range(0, len(pixels), step):
+            part = slice(low, low + step)
+            hits = self.integrand.first(pixels[part], self._points[0].points(pixels[part].key(), 0, 1))
+            self._film.depth[y[part], x[part]] = np.minimum(hits.depth, FAR)
+            self._film.sample_count[y[part], x[part]] = 1
+            if self._settings.normals:
+                self._film.normal[y[part], x[part]] = hits.values[NORMAL].T
+            done(len(hits.depth))
+
+    def _write(self, x: np.ndarray | slice, y: np.ndarray | slice, value: np.ndarray) -> None:
+        """Channels (C, ...) of pixels into the film; nothing is brighter than it can hold."""
+        value = np.clip(value, -LARGEST, LARGEST)
+        for channel, pixels in enumerate(value):
+            self._film.combined[..., channel].T[x, y] = pixels
+
+    def finish(self) -> None:
+        """Fill the film's standard error."""
+        error = standard_error(self._spread, self._due.ravel(), self._bins, self._error.ravel())
+        error = error.reshape(-1, *self._bins)[:3]
+        self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
+
+
+def serves(integrand: DirectLight) -> bool:
+    """Whether the integrand is one that polynomials follow: no choice among lights, nor triangles of one."""
+    return len(integrand.lights) <= MOST_LIGHTS and not integrand.any_mesh

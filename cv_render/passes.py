@@ -12,20 +12,41 @@ from ..engine_core import Film
 COMBINED = ("Combined", 4, "RGBA", "COLOR")
 DEPTH = ("Depth", 1, "Z", "VALUE")
 NORMAL = ("Normal", 3, "XYZ", "VECTOR")
+CONTROL_VARIATE = ("CV", 3, "RGB", "COLOR")
+RESIDUAL = ("Residual", 3, "RGB", "COLOR")
+SAMPLE_COUNT = ("Sample Count", 1, "X", "VALUE")
+STANDARD_ERROR = ("Standard Error", 3, "RGB", "COLOR")
 
 
 def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
-    """Tell Blender which passes a view layer gets, under the names that Cycles uses."""
+    """Tell Blender which passes a view layer gets, under the names that Cycles uses where it has them."""
     engine.register_pass(scene, view_layer, *COMBINED)
     if view_layer.use_pass_z:
         engine.register_pass(scene, view_layer, *DEPTH)
     if view_layer.use_pass_normal:
         engine.register_pass(scene, view_layer, *NORMAL)
+    chosen = view_layer.cv_render
+    for wanted, render_pass in (
+        (chosen.use_pass_control_variate, CONTROL_VARIATE),
+        (chosen.use_pass_residual, RESIDUAL),
+        (chosen.use_pass_sample_count, SAMPLE_COUNT),
+        (chosen.use_pass_standard_error, STANDARD_ERROR),
+    ):
+        if wanted:
+            engine.register_pass(scene, view_layer, *render_pass)
 
 
 def write(engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
     """Pixels [y0:y1, x0:x1] of the film into Blender's result of a layer; row 0 is the bottom in both."""
-    arrays = {"Combined": film.combined, "Depth": film.depth, "Normal": film.normal}
+    arrays = {
+        "Combined": film.combined,
+        "Depth": film.depth,
+        "Normal": film.normal,
+        "CV": film.control_variate,
+        "Residual": film.residual,
+        "Sample Count": film.sample_count,
+        "Standard Error": film.standard_error,
+    }
     result = engine.begin_result(x0, y0, x1 - x0, y1 - y0, layer=layer, view=view)
     try:
         for render_pass in result.layers[0].passes:

@@ -31,6 +31,12 @@ FEWEST_SAMPLES = 4
 MOST_LIGHTS = 8
 """Lights that are summed at every evaluation; more are chosen among, which no polynomial follows."""
 
+LOOKS = 16
+"""Camera rays of a pixel where only these tell its alpha."""
+
+CHANNELS = 3
+"""What is approximated: radiance. Alpha is the mean of camera rays, so that it is 0 or 1 where it must be."""
+
 MOST = 1 << 14
 """Samples of a pixel at most: nets are made for the longest."""
 
@@ -58,7 +64,6 @@ class ControlVariatePicture:
         self._film = film
         self._check = check
         self._bins = (region[2] - region[0], region[3] - region[1])
-        self._channels = 4 if integrand.transparent else 3
         choice = EveryLight() if len(integrand.lights) > 1 else None
         self.integrand = DirectLightOverTile(integrand, choice, check)
         # Light without size leaves nothing to integrate but the pixel.
@@ -82,7 +87,7 @@ class ControlVariatePicture:
             self._inner,
             settings.seed,
             map_,
-            self._channels,
+            CHANNELS,
         )
         budget = total * (1.0 if alone else self._options.share)
         log_edge = root_edge(bins, self.covered, budget / evaluator.cost)
@@ -95,18 +100,17 @@ class ControlVariatePicture:
             return False
         self._left = total - evaluator.evaluations
         self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
-        self._mean = np.zeros((self._channels, *bins))
+        self._mean = np.zeros((CHANNELS, *bins))
         self._error = np.zeros(bins)
         self._tiles = map_(self._integrate, range(len(self._variate)))
         self._write(slice(None), slice(None), self._mean)
-        self._film.control_variate[:] = self._mean[:3].transpose(2, 1, 0)
-        if self._channels == 3:
-            self._film.combined[..., ALPHA] = 1
+        self._film.control_variate[:] = self._mean.transpose(2, 1, 0)
+        self._film.combined[..., ALPHA] = 1
         self._alone = alone
         if alone:
             self._due, self._twice = np.ones(bins, np.int64), np.zeros(bins, bool)
             self._points = staged_points("sobol", 2, 0, 1, settings.seed + 1)
-            self._points[0].prepare(1)
+            self._points[0].prepare(LOOKS)
         else:
             self._allocate()
         return True
@@ -130,7 +134,7 @@ class ControlVariatePicture:
         due, _ = sample_counts(self._error.ravel(), samples, self._options.defensive, 1.0)
         due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
-            brightness = np.sqrt(np.maximum(self._mean[:3].mean(axis=0), 0))
+            brightness = np.sqrt(np.maximum(self._mean.mean(axis=0), 0))
             wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
             # The error of a net falls about as n^-3/4.
             enough = np.ceil(np.log2(np.maximum(self._error / wanted, 1)) * 4 / 3).astype(np.int64)
@@ -141,7 +145,7 @@ class ControlVariatePicture:
         for group in self._points:
             group.prepare(int(due.max()))
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
-        self._spread = Spread.empty(self._channels, self._error.size)
+        self._spread = Spread.empty(CHANNELS, self._error.size)
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""
@@ -192,26 +196,29 @@ class ControlVariatePicture:
         self._spread.store(where[0] * self._bins[1] + where[1], spread)
         film = self._film
         self._write(*where, self._mean[(slice(None), *where)] + mean)
-        film.residual[where[1], where[0]] = mean[:3].T
+        film.residual[where[1], where[0]] = mean.T
         film.sample_count[where[1], where[0]] = count
         film.depth[where[1], where[0]] = depth
-        if self._channels == 3:
-            film.combined[where[1], where[0], ALPHA] = seen[0]
+        film.combined[where[1], where[0], ALPHA] = seen[0]
         if self._settings.normals:
             film.normal[where[1], where[0]] = seen[NORMAL.start - ALPHA :].T
 
     def _look(self, tile: TileOfRegions, pixels: Pixels, done: Callable[[int], None]) -> None:
-        """One camera ray a pixel: the polynomials know neither depth nor normals."""
+        """Camera rays alone: the polynomials know neither depth, nor normals, nor alpha."""
         x, y = tile.index
-        step = self._settings.batch_size
+        film, rays = self._film, LOOKS if self._direct_light.transparent else 1
+        step = max(1, self._settings.batch_size // rays)
         for low in range(0, len(pixels), step):
             part = slice(low, low + step)
-            hits = self.integrand.first(pixels[part], self._points[0].points(pixels[part].key(), 0, 1))
-            self._film.depth[y[part], x[part]] = np.minimum(hits.depth, FAR)
-            self._film.sample_count[y[part], x[part]] = 1
+            keys = pixels[part].key()
+            hits = self.integrand.first(pixels[part], self._points[0].points(keys, 0, rays))
+            seen = hits.values[ALPHA:].reshape(-1, len(keys), rays).mean(axis=2)
+            film.depth[y[part], x[part]] = np.minimum(hits.depth.reshape(-1, rays)[:, 0], FAR)
+            film.sample_count[y[part], x[part]] = rays
+            film.combined[y[part], x[part], ALPHA] = seen[0]
             if self._settings.normals:
-                self._film.normal[y[part], x[part]] = hits.values[NORMAL].T
-            done(len(hits.depth))
+                film.normal[y[part], x[part]] = seen[NORMAL.start - ALPHA :].T
+            done(len(keys))
 
     def _write(self, x: np.ndarray | slice, y: np.ndarray | slice, value: np.ndarray) -> None:
         """Channels (C, ...) of pixels into the film; nothing is brighter than it can hold."""
@@ -222,7 +229,7 @@ class ControlVariatePicture:
     def finish(self) -> None:
         """Fill the film's standard error."""
         error = standard_error(self._spread, self._due.ravel(), self._bins, self._error.ravel())
-        error = error.reshape(-1, *self._bins)[:3]
+        error = error.reshape(-1, *self._bins)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
 
 

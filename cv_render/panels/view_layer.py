@@ -18,6 +18,11 @@ class CVRENDER_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column.prop(view_layer, "use_pass_combined")
         column.prop(view_layer, "use_pass_z")
         column.prop(view_layer, "use_pass_normal")
+        column = properties_layout(self, animated=False).column(heading="Integrator", align=True)
+        column.prop(view_layer.cv_render, "use_pass_control_variate")
+        column.prop(view_layer.cv_render, "use_pass_residual")
+        column.prop(view_layer.cv_render, "use_pass_sample_count")
+        column.prop(view_layer.cv_render, "use_pass_standard_error")
 
 
 class CVRENDER_VIEWLAYER_PT_override(EnginePanel, bpy.types.Panel):

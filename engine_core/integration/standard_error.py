@@ -96,8 +96,9 @@ def standard_error(
         truth = np.where(seen, spread.twice, 0)
         basis = np.where(seen, evidence, 0)
         if independent and kind is halves or not seen.any():
-            # Without a witness, halves count as independent, which overstates; a single sample is unknown.
-            scale = np.ones((channels, total)) if kind is halves else np.full((channels, total), np.inf)
+            # Without a witness, halves count as independent, which overstates, and a prediction is believed.
+            known = kind is halves or predicted is not None
+            scale = np.full((channels, total), 1.0 if known else np.inf)
         else:
             # Few witnesses may all have seen nothing.
             few = FEW * evidence[:, kind].mean(axis=1)

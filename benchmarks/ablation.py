@@ -156,7 +156,7 @@ def variants() -> list[Variant]:
         *(Variant(f"roots of {1 << k} bins", patches=((whole, "root_edge", lambda *_, k=k: k),))
           for k in (2, 3, 4, 5)),
         *argument("share", 1 / 16, 1 / 8, 1 / 4, 1 / 2),
-        *constant(build, "HOPELESS", 0.05, 0.1, 0.2, np.inf),
+        *constant(build, "HOPELESS", 0.1, 0.2, np.inf),
         *argument("defensive", 0.05, 0.25),
         *argument("chance", 1.0),
         Variant("neighbours' errors not asked",
@@ -183,10 +183,16 @@ def error(variant: Variant, integrand: Integrand, samples: float, seeds: Iterabl
         return statistics.median(truth.relative_error(result.value) for result in results)
 
 
+def short(value: float) -> str:
+    """1.2e-3 for 1.2e-03."""
+    number, _, power = f"{value:.1e}".partition("e")
+    return f"{number}e{int(power)}"
+
+
 def compare(options: argparse.Namespace) -> None:
     """How many times the default's error every variant has."""
     names = [integrand.name for integrand in options.integrands]
-    print(f"Error over the default's, at {' / '.join(f'{n:g}' for n in options.samples)} samples")
+    print(f"Error over the default's, at {' / '.join(f'{n:g}' for n in options.samples)} samples:\n")
     print_row(("variant", *names, "mean"))
     print_row(["---"] * (len(names) + 2))
     default = None
@@ -201,7 +207,7 @@ def compare(options: argparse.Namespace) -> None:
         )
         if default is None:
             default = found
-            cells = [" / ".join(f"{e:.1e}" for e in row) for row in found]
+            cells = [" / ".join(map(short, row)) for row in found]
             print_row(("**default: the error itself**", *cells, ""))
             continue
         ratio = found / default
@@ -249,7 +255,7 @@ def dimensions(options: argparse.Namespace) -> None:
                 seeds = range(options.seeds)
                 runs = [entrant.run(integrand, bins, samples, seed, f, options.threads) for seed in seeds]
                 error_ = statistics.median(truth.relative_error(result.value) for result, _ in runs)
-                cells.append(f"{error_:.1e}, {min(seconds for _, seconds in runs):.2f}")
+                cells.append(f"{short(error_)}, {min(seconds for _, seconds in runs):.2f}")
             print_row((integrand.name, column, rule, *cells, runs[0][0].regions))
 
 

@@ -27,7 +27,13 @@ bpy = dev.open_this_blender()
 
 from example_blends.build import SCENES  # noqa: E402
 
-from .engines.blender import CV_RENDER, CYCLES, CYCLES_WITHOUT_TREE, read_picture, set_output  # noqa: E402
+from .engines.blender import (  # noqa: E402
+    CYCLES,
+    CYCLES_WITHOUT_TREE,
+    INTEGRATORS,
+    read_picture,
+    set_output,
+)
 from .engines.mitsuba import Mitsuba, Unavailable  # noqa: E402
 
 TARGET_SAMPLES = 64
@@ -108,9 +114,9 @@ def reference(engine: Engine, key: str, samples: int, folder: Path) -> Reference
     return Reference((halves[0] + halves[1]) / 2, float(np.mean((halves[0] - halves[1]) ** 2) / 4))
 
 
-def entrants(folder: Path, mitsuba_python: str) -> list[Engine]:
+def entrants(folder: Path, mitsuba_python: str, integrators: Sequence[str]) -> list[Engine]:
     """The engines that can render the open scene; says why one can't."""
-    engines: list[Engine] = [CYCLES, CYCLES_WITHOUT_TREE, CV_RENDER]
+    engines: list[Engine] = [CYCLES, CYCLES_WITHOUT_TREE, *(INTEGRATORS[name] for name in integrators)]
     try:
         engines.append(Mitsuba(mitsuba_python, folder))
     except Unavailable as reason:
@@ -131,7 +137,7 @@ def race(blend: Path, size: int, options: argparse.Namespace) -> dict[str, objec
     digest = hashlib.sha256(blend.read_bytes()).hexdigest()[:8]
     key = f"{blend.stem}-{digest}-{bpy.app.version[0]}.{bpy.app.version[1]}-{size}"
     picture = options.scratch / "picture.exr"
-    engines = entrants(options.scratch, options.mitsuba_python)
+    engines = entrants(options.scratch, options.mitsuba_python, options.integrators)
     curves, references = {}, {}
     for engine in engines:
         curves[engine.name] = Curve(engine.name, engine.render(min(options.samples), 1, picture))
@@ -215,6 +221,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--samples", nargs="+", type=int, default=[2, 4, 8, 16, 32, 64, 128], metavar="N",
                         help="of CV Render (Cycles has 64)")  # fmt: skip
+    parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, default=["control_variates", "sobol"],
+                        metavar="NAME", help=f"of CV Render: {', '.join(INTEGRATORS)}")  # fmt: skip
     parser.add_argument("--reference-samples", type=int, metavar="N", help="of half a reference")
     parser.add_argument("--scratch", type=Path, default=SCRATCH, help="keeps references and results")
     parser.add_argument("--mitsuba-python", default=sys.executable, metavar="PYTHON")

@@ -37,7 +37,7 @@ class Settings:
 
     samples: int = 64
     light_samples: int = 0
-    integrator: str = "sobol"
+    integrator: str = "control_variates"
     seed: int = 0
     noise_threshold: float = 0.0
     min_samples: int = 16

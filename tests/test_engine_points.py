@@ -191,12 +191,19 @@ def test_sobol_integrates_a_smooth_function_better_than_chance(samples, split):
         y = light.points(KEYS[:256], 0, samples * split).astype(np.float64).sum(axis=0)
         mean = (np.exp(x) * np.exp(y).reshape(256, samples, split).mean(axis=2)).mean(axis=1)
         error[name] = np.sqrt(np.square(mean / (np.e - 1) ** 5 - 1).mean())
-    assert error["sobol"] < 2.5 / samples**0.4 * error["monte_carlo"]
+    assert error["sobol"] < 3.0 / samples**0.4 * error["monte_carlo"]
 
 
-def test_more_dimensions_than_the_table_has_are_refused():
-    with pytest.raises(IndexError):
-        SobolPoints(range(MAX_DIMENSIONS + 1), 0, 0).prepare(1)
+def test_dimensions_beyond_the_tables_last_are_pseudo_random():
+    points = SobolPoints(range(MAX_DIMENSIONS + 2), 0, 0)
+    points.prepare(1024)
+    u = points.points(KEYS[:8], 0, 1024)
+    assert u.shape[0] == MAX_DIMENSIONS + 2
+    for d in range(MAX_DIMENSIONS, MAX_DIMENSIONS + 2):
+        _assert_uniform_square(u[d].ravel(), u[0].ravel())
+        # No net: its stratification would leave exactly one in each of 1024 intervals.
+        assert len(np.unique((u[d, 0] * 1024).astype(int))) < 900
+        assert len(np.unique((u[0, 0] * 1024).astype(int))) == 1024
 
 
 def _assert_uniform_square(a: np.ndarray, b: np.ndarray, cells: int = 8) -> None:

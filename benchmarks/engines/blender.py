@@ -10,7 +10,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from engine_core import Settings
 from engine_core.image.exr import read_exr
+from engine_core.settings import INTEGRATORS
 from example_blends.studio import direct_light_only
 
 
@@ -27,7 +29,7 @@ class BlenderEngine:
     name: str
     engine: str
     light_tree: bool = True
-    integrator: str = "sobol"
+    integrator: str = Settings().integrator
 
     def render(self, samples: int, seed: int, path: Path) -> float:
         """Render the open scene into a 32-bit EXR; seconds from the scene in Blender to the closed file."""
@@ -49,6 +51,11 @@ class BlenderEngine:
 CYCLES = BlenderEngine("Cycles", "CYCLES")
 CYCLES_WITHOUT_TREE = BlenderEngine("Cycles, no light tree", "CYCLES", light_tree=False)
 CV_RENDER = BlenderEngine("CV Render", "CV_RENDER")
+INTEGRATORS = {
+    name: BlenderEngine(f"CV Render, {name.replace('_', ' ')}", "CV_RENDER", integrator=name)
+    for name in INTEGRATORS
+}
+"""CV Render with each of its integrators."""
 
 
 def set_output(width: int, height: int) -> None:

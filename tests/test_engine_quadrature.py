@@ -187,7 +187,7 @@ def test_the_error_is_honest() -> None:
 
     x, y = ((np.indices((16, 16)) + 0.5) / 16).reshape(2, 16, 16)
     exact = (0.2 + 0.6 * x) * (1 + y)
-    for points in (1, 2, 3, 4):
+    for points in (2, 4):
         result = Quadrature(points=points).estimate(_problem(f, 3, (16, 16)))
         error = np.sqrt(((result.value[0] - exact) ** 2).mean())
         claimed = np.sqrt((result.standard_error[0] ** 2).mean())

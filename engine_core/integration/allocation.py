@@ -27,7 +27,7 @@ def neighbourly(density: np.ndarray, regions: Regions, nodes: int) -> np.ndarray
     step = max(1, (1 << 22) // shared)
     for low in range(0, len(density), step):
         part = slice(low, low + step)
-        slots = regions.nodes[part].ravel()
+        slots = regions.nodes[part].ravel().astype(np.int64)
         total += np.bincount(slots, np.repeat(density[part], shared), nodes)
         count += np.bincount(slots, minlength=nodes)
     total /= np.maximum(count, 1)

@@ -18,9 +18,12 @@ LARGEST_ROOT = 6
 SWEEP = 0.5
 """The part of the regions, the worst, that one batch halves: no worse than a tenth of them."""
 
-HOPELESS = 0.4
-"""Part of the variance, as `unexplained` sees it, from which a polynomial is given up. White noise shows 0.6,
-the worst integrand that still gained 0.3."""
+HOPELESS = ((1 / 8, 0.4), (1 / 4, 0.2))
+"""After what part of the budget a polynomial is given up if so much of the variance is unexplained. White
+noise shows 0.6; thin occluders show 0.3, then 0.2, and lose; what gains shows less than 0.1."""
+
+FEWEST_REGIONS = 64
+"""Below which nothing is given up, since nothing is known."""
 
 BATCH = 16384
 """Evaluations at once, about: what fits the cache."""
@@ -100,7 +103,7 @@ class NodeEvaluator:
 
 
 def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | None:
-    """log2 of the roots' edge in bins: as short as a small part of ``budget`` nodes allows; None if none is."""
+    """log2 of the roots' edge in bins: as short as a small part of ``budget`` nodes allows, or None."""
 
     def cost(log: int) -> float:
         return 3.0**dimensions * float(np.prod([len(root_edges(n, log)[0]) for n in bins]))
@@ -117,17 +120,16 @@ def grow(tree: RegionTree, evaluator: NodeEvaluator, budget: float, samples: flo
 
     samples : residual samples to come, in all; no region is halved that would hold less than one.
     """
-    checked = False
+    checks = list(HOPELESS)
     while evaluator.evaluations < budget and len(tree) < max_regions:
         left = (budget - evaluator.evaluations) / (evaluator.cost * tree.cost_of_split)
         splits = int(min(max(8, len(tree) * SWEEP), max(left, 1), max_regions - len(tree)))
         if not tree.sweep(splits, 1 / max(samples, 1)):
             break
-        if not checked and evaluator.evaluations > budget / 8 and len(tree) >= 64:
-            checked = True
-            if unexplained(tree) > HOPELESS:
+        while checks and evaluator.evaluations > checks[0][0] * budget and len(tree) >= FEWEST_REGIONS:
+            if unexplained(tree) > checks.pop(0)[1]:
                 return False
-    return unexplained(tree) <= HOPELESS
+    return unexplained(tree) <= HOPELESS[0][1]
 
 
 def unexplained(tree: RegionTree) -> float:

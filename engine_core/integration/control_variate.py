@@ -23,13 +23,10 @@ _LOG_BINS = 14
 class Pairs:
     """P overlaps of regions and bins, bin after bin, in each bin ordered by the inner dimensions.
 
-    region : (P,) of the tile's. bin : (P,) of the tile's. volume : (P,) the fraction of the bin.
-    first : (B + 1,) where each bin's pairs begin.
+    region : (P,) of the tile's. first : (B + 1,) where each bin's pairs begin.
     """
 
     region: np.ndarray
-    bin: np.ndarray
-    volume: np.ndarray
     first: np.ndarray
 
 
@@ -37,6 +34,7 @@ class TileOfRegions:
     """The regions of one tile, and the tile's B bins.
 
     index : (K, B) the bins' index in the picture, the last dimension fastest.
+    overlap : (R,) the fraction of any bin it overlaps that a region takes up.
     """
 
     def __init__(self, regions: Regions, values: np.ndarray, low: tuple[int, ...], high: tuple[int, ...]):
@@ -49,15 +47,20 @@ class TileOfRegions:
         self.channels = range(len(values))
         self.shape = tuple(h - lo for lo, h in zip(low, high, strict=True))
         self.index = np.indices(self.shape).reshape(bins, -1) + np.array(low)[:, None]
+        self._local = self.index - self.index[:, :1]
         size = self.regions.size.astype(np.int64)
         self.start_bin = (self.regions.start[:bins] >> BIN) - np.array(low)[:, None]
         self._log_bins = np.maximum(size[:bins] - BIN, 0)
+        self._per_bin = np.ldexp(1.0, -self._log_bins)
         self._part = np.ldexp(1.0, np.minimum(size[:bins] - BIN, 0))
         self._begin = np.ldexp((self.regions.start[:bins] & ((1 << BIN) - 1)).astype(np.float64), -BIN)
         self._edge = np.ldexp(1.0, size[bins:] - WHOLE)
         self._origin = np.ldexp(self.regions.start[bins:].astype(np.float64), -WHOLE)
-        self._overlap = self._edge.prod(axis=0) * self._part.prod(axis=0)
+        self.overlap = self._edge.prod(axis=0) * self._part.prod(axis=0)
         self._face = 3 ** (m - bins)
+        # Whether regions are at least a bin long, and not longer, in each of the bins' dimensions.
+        self._whole = (size[:bins] >= BIN).all(axis=1)
+        self._within = (size[:bins] <= BIN).all(axis=1)
         self._slots = self._groups()
         self._rows: np.ndarray | None = None
 
@@ -91,7 +94,7 @@ class TileOfRegions:
         density = self.density(spread)
         for chosen, logs, slots in self._slots:
             flat = slots.ravel()
-            share = self._overlap[chosen]
+            share = self.overlap[chosen]
             error += np.bincount(flat, np.repeat(share * density[chosen], slots.shape[1]), total)
             for out, values in zip(h, self._values, strict=True):
                 v = values.take(self.regions.nodes[chosen]).reshape(len(chosen), -1, self._face) @ weights
@@ -108,15 +111,21 @@ class TileOfRegions:
         inside = spread.take(self.regions.nodes) @ face_weights(self._dimensions)
         return np.hypot(self.regions.density, inside)
 
-    def pairs(self) -> Pairs:
-        """All overlaps of this tile."""
-        total = self.index.shape[1]
-        count = len(self.regions)
-        key = np.concatenate([(slots * count + chosen[:, None]).ravel() for chosen, _, slots in self._slots])
+    def pairs(self, wanted: np.ndarray | None = None) -> Pairs:
+        """The overlaps of this tile's bins, or of those ``wanted`` (B,) bool: the others have none."""
+        total, shift = self.index.shape[1], len(self.regions).bit_length()
+        key_type = np.uint32 if total << shift < 1 << 32 else np.uint64
+        parts = []
+        for chosen, _, slots in self._slots:
+            key = slots.astype(key_type)
+            key <<= key_type(shift)
+            key |= chosen.astype(key_type)[:, None]
+            parts.append(key.ravel() if wanted is None else key[wanted.take(slots)])
+        key = np.concatenate(parts)
         key.sort()
-        bins, region = np.divmod(key, count)
-        first = np.searchsorted(bins, np.arange(total + 1))
-        return Pairs(region, bins, self._overlap.take(region), first)
+        first = np.searchsorted(key, np.arange(total + 1, dtype=key_type) << key_type(shift))
+        key &= key_type((1 << shift) - 1)
+        return Pairs(key.astype(np.int64), first)
 
     # -- at samples --------------------------------------------------------------------------------
 
@@ -128,6 +137,9 @@ class TileOfRegions:
         out = np.empty((len(u), u.shape[1]))
         bins = self._bins
         for d in range(bins):
+            if self._whole[d]:
+                out[d] = u[d]
+                continue
             np.multiply(u[d], self._part[d].take(region), out=out[d])
             out[d] += self._begin[d].take(region)
         for d in range(bins, len(u)):
@@ -142,19 +154,16 @@ class TileOfRegions:
         basis = []
         for d in range(m):
             t = u[d]
-            if d < self._bins:
-                inside = self.index[d].take(bin_) - self.index[d, 0] - self.start_bin[d].take(region)
-                t = (t + inside) * np.ldexp(1.0, -self._log_bins[d]).take(region)
+            if d < self._bins and not self._within[d]:
+                t = t + (self._local[d].take(bin_) - self.start_bin[d].take(region))
+                t *= self._per_bin[d].take(region)
             basis.append(lagrange(t))
         coefficients_of = self._coefficients()
-        outer, inner = (
-            _tensor(b).astype(coefficients_of.dtype, copy=False) for b in (basis[:half], basis[half:])
-        )
+        outer, inner = (_tensor(b, n, coefficients_of.dtype) for b in (basis[:half], basis[half:]))
         out = np.empty((len(self._values), n), coefficients_of.dtype)
         for row, coefficients in zip(out, coefficients_of, strict=True):
             v = coefficients.take(region, axis=0).reshape(n, outer.shape[1], -1)
-            v = np.matmul(v, inner[:, :, None])[:, :, 0] if m > 1 else v[:, :, 0]
-            np.einsum("nk,nk->n", v, outer, out=row)
+            np.einsum("nk,nk->n", np.matmul(outer[:, None, :], v)[:, 0], inner, out=row)
         return out
 
     def _coefficients(self) -> np.ndarray:
@@ -164,14 +173,12 @@ class TileOfRegions:
         return self._rows
 
 
-def _tensor(basis: list[np.ndarray]) -> np.ndarray:
+def _tensor(basis: list[np.ndarray], count: int, dtype: np.dtype) -> np.ndarray:
     """(N, 3^k) products of k bases (3, N)."""
-    if not basis:
-        return np.ones((1, 1))
-    out = basis[0].T
-    for b in basis[1:]:
-        out = (out[:, :, None] * b.T[:, None, :]).reshape(len(out), -1)
-    return np.ascontiguousarray(out)
+    out = np.ones((1, count))
+    for b in basis:
+        out = (out[:, None] * b).reshape(-1, count)
+    return np.ascontiguousarray(out.T, dtype)
 
 
 class ControlVariate:

@@ -29,15 +29,15 @@ from .standard_error import Spread, sampled_twice, standard_error
 TWICE_ONE_IN = 16
 """One bin in so many is sampled by two nets, to know the error of all: 3 % of the error."""
 
-MOST_DIMENSIONS = 4
-"""Dimensions that the polynomial covers unless told otherwise: 3^4 nodes a region."""
+MOST_DIMENSIONS = 5
+"""Dimensions that the polynomial covers unless told otherwise: 3^5 nodes a region."""
 
 
 @dataclass(frozen=True)
 class ControlVariates:
     """The default method. Unbiased, but for ``residual=False``.
 
-    cv_dims : dimensions of the polynomial, from the bins' own to all; None for all, up to four.
+    cv_dims : dimensions of the polynomial, from the bins' own to all; None for all, up to five.
     inner : how a node integrates the other dimensions; None for a net of 16 points.
     residual : False leaves H alone, all samples spent on it: biased by what the polynomials miss, which
         docs/method.md measures; for previews and for study.

@@ -237,7 +237,7 @@ class Quadrature:
     def estimate(self, problem: Problem) -> Result:
         """Standard errors are upper bounds rather than estimates: the points of the net count as independent,
         and the mean nested error, the trapezoidal rule's, is added. Measured, the error is a half to a
-        tenth of that; with one point in a bin nothing is known but the nested error."""
+        tenth of that; of an odd number of points nothing is known."""
         integrand, bins = problem.integrand, problem.bins
         rest = integrand.rest_dimensions
         points = self.points or max(1, round(problem.samples / 16 if rest else problem.samples))
@@ -295,7 +295,7 @@ class Quadrature:
         means, nested, counts = zip(*problem.pool.map(part, range(0, total, width)), strict=True)
         means = np.concatenate(means, axis=1)
         value = means.mean(axis=2).reshape(-1, *bins)
-        error = np.zeros(means.shape[:2])
+        error = np.full(means.shape[:2], np.inf)
         if parts == 2:
             spread = Spread.empty(len(means), total)
             spread.half[:] = np.square(means[:, :, 0] - means[:, :, 1]) / 4

@@ -31,6 +31,10 @@ the trapezoid rule, far too much for what is smooth; the surprise is that of the
 misses an edge between nodes. 0 is 2 times worse on smooth integrands, 1/2 as good on shadows in the
 mean but less even; see benchmarks/ablation.py."""
 
+EXPLORE = 1 / 16
+"""Of the splits, those of the largest regions whatever their error: the size term of eq. 4.8, but free of
+the integrand's scale and of what is added to it."""
+
 NODE_KEYS = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xFF51AFD7ED558CCD]
     + [0xC4CEB9FE1A85EC53, 0x94D049BB133111EB, 0xBF58476D1CE4E5B9, 0x27D4EB2F165667C5, 0x8CB92BA72F3D8DD7],
@@ -39,42 +43,73 @@ NODE_KEYS = np.array(
 """A node's key is its place times these, modulo 2^64: two nodes that share one would spoil a control
 variate's value, never the estimate."""
 
+_EMPTY = np.uint64(1)
+"""The key at a free place of the store's table. A node of this key reads another's value: see above."""
+
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 """place (m, N) int64 -> values (C, N), and the spread (N,) of the dimensions inside the nodes."""
 
 
 class NodeStore:
-    """Values of all nodes so far, found by their keys.
+    """Values of all nodes so far, found by their keys in a hash table.
 
     values : (C, N). spread : (N,) or None.
     """
 
     def __init__(self, evaluate: Evaluate) -> None:
         self._evaluate = evaluate
-        self._keys = np.zeros(0, np.uint64)
-        self._slots = np.zeros(0, np.int32)
+        self._keys = np.full(1 << 12, _EMPTY)  # at each of the table's places, with linear probing
+        self._slots = np.zeros(1 << 12, np.int32)
         self._values: np.ndarray | None = None
         self._spread: np.ndarray | None = None
         self.count = 0
 
     def slots(self, place: np.ndarray, keys: np.ndarray) -> np.ndarray:
         """(N,) int32 slots of the nodes at place (m, N) int64 with ``keys`` (N,); new ones are evaluated."""
-        unique, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        at = np.searchsorted(self._keys, unique)
-        slots = np.empty(len(unique), np.int32)
-        known = np.zeros(len(unique), bool)
-        if self.count:
-            inside = np.minimum(at, self.count - 1)
-            known = self._keys[inside] == unique
-            slots[known] = self._slots[inside[known]]
-        new = np.flatnonzero(~known)
-        if new.size:
-            values, spread = self._evaluate(place[:, first[new]])
-            slots[new] = np.arange(self.count, self.count + new.size, dtype=np.int32)
-            self._keys = np.insert(self._keys, at[new], unique[new])
-            self._slots = np.insert(self._slots, at[new], slots[new])
+        self._reserve(self.count + len(keys))
+        at, unseen = self._find(keys)
+        if unseen.size:
+            # Of equal keys the one whose number is left is evaluated, in the order they were asked for.
+            self._slots[at[unseen]] = number = np.arange(unseen.size, dtype=np.int32)
+            new = unseen[self._slots.take(at[unseen]) == number]
+            values, spread = self._evaluate(place[:, new])
+            self._slots[at[new]] = np.arange(self.count, self.count + new.size, dtype=np.int32)
             self._append(values, spread)
-        return slots[inverse.ravel()]
+        return self._slots.take(at)
+
+    def _find(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where in the table ``keys`` (N,) are, and which (ascending) were not: their places are taken now."""
+        at = keys ^ (keys >> np.uint64(32))
+        at *= NODE_KEYS[0]
+        at >>= np.uint64(65 - len(self._keys).bit_length())
+        at = at.view(np.int64)
+        unseen = []
+        left, here, key = np.arange(len(keys)), at, keys
+        while left.size:
+            found = self._keys.take(here)
+            free = np.flatnonzero(found == _EMPTY)
+            if free.size:
+                # All write, and read who has got the place.
+                self._keys[here[free]] = key[free]
+                free = free[self._keys.take(here[free]) == key[free]]
+                found[free] = key[free]
+                unseen.append(left[free])
+            further = np.flatnonzero(found != key)
+            left, key = left[further], key[further]
+            here = (here[further] + 1) & (len(self._keys) - 1)
+            at[left] = here
+        return at, np.sort(np.concatenate(unseen)) if unseen else left
+
+    def _reserve(self, count: int) -> None:
+        """A table no more than half full of ``count`` nodes."""
+        if 2 * count <= len(self._keys):
+            return
+        used = np.flatnonzero(self._keys != _EMPTY)
+        keys, slots = self._keys[used], self._slots[used]
+        room = 1 << (4 * count - 1).bit_length()
+        self._keys, self._slots = np.full(room, _EMPTY), np.zeros(room, np.int32)
+        at, _ = self._find(keys)
+        self._slots[at] = slots
 
     @property
     def values(self) -> np.ndarray:
@@ -104,6 +139,16 @@ def _grown(array: np.ndarray | None, new: np.ndarray, begin: int, end: int) -> n
     return array
 
 
+def _largest(values: np.ndarray, count: int) -> np.ndarray:
+    """Where the ``count`` largest of the positive values are, in no order."""
+    if count <= 0:
+        return np.zeros(0, np.intp)
+    if count < len(values):
+        where = np.argpartition(values, len(values) - count)[len(values) - count :]
+        return where[values[where] > 0]
+    return np.flatnonzero(values > 0)
+
+
 @dataclass(eq=False)
 class Regions:
     """R boxes in m dimensions.
@@ -114,6 +159,7 @@ class Regions:
     density : (R,) nested error, |Simpson - trapezoid|, as a mean over the region (thesis eq. 4.8).
     axis : (R,) the dimension to halve: that of the largest error among those that may be halved.
     gain : (R,) the error in that dimension, 0 if none may.
+    longest : (R,) the dimension of the longest edge, as a part of the domain; of several, the worst.
     surprise : (m, R) how far new nodes were from what the region that was halved in that dimension had
         said of them; inf where none was. Of a smooth integrand it is far less than the nested error.
     """
@@ -125,6 +171,7 @@ class Regions:
     density: np.ndarray
     axis: np.ndarray
     gain: np.ndarray
+    longest: np.ndarray
     surprise: np.ndarray
 
     def __len__(self) -> int:
@@ -139,6 +186,7 @@ class Regions:
             self.density[part],
             self.axis[part],
             self.gain[part],
+            self.longest[part],
             self.surprise[:, part],
         )
 
@@ -195,6 +243,7 @@ class RegionTree:
             np.empty(count),
             np.empty(count, np.int8),
             np.empty(count),
+            np.empty(count, np.int8),
             np.full((m, count), np.inf),
         )
         self._count = count
@@ -220,32 +269,43 @@ class RegionTree:
         return 2 * 3 ** (self.dimensions - 1)
 
     def sweep(self, splits: int, smallest_volume: float) -> int:
-        """Halve at most ``splits`` of the worst regions, each in its worst dimension; returns how many.
+        """Halve at most ``splits`` regions, the worst in their worst dimension; returns how many.
 
         smallest_volume : no region below it is halved.
         """
-        regions = self.leaves()
-        error = regions.gain * regions.volume
-        error[regions.volume < smallest_volume] = 0
-        axis = regions.axis
-        if 0 < splits < len(error):
-            worst = np.argpartition(error, len(error) - splits)[len(error) - splits :]
-        else:
-            worst = np.arange(len(error))
-        worst = np.sort(worst[error[worst] > 0])
-        if worst.size == 0 or splits <= 0:
+        chosen, axis = self._choose(splits, smallest_volume)
+        if chosen.size == 0:
             return 0
-        self._reserve(self._count + worst.size)
+        self._reserve(self._count + chosen.size)
         first_new = self._count
-        for d in range(self.dimensions):
-            chosen = worst[axis[worst] == d]
-            if chosen.size:
-                self._halve(chosen, d)
-        self._judge(worst)
+        parts = [(d, chosen[axis == d]) for d in range(self.dimensions)]
+        place = np.concatenate([self._between(part, d) for d, part in parts], axis=1)
+        slots = self.store.slots(place, self._key(place)).reshape(chosen.size, -1)
+        for d, part in parts:
+            self._halve(part, d, slots[: len(part)])
+            slots = slots[len(part) :]
+        self._judge(chosen)
         self._judge(slice(first_new, self._count))
-        self.splits += worst.size
+        self.splits += chosen.size
         self.sweeps += 1
-        return int(worst.size)
+        return int(chosen.size)
+
+    def _choose(self, splits: int, smallest_volume: float) -> tuple[np.ndarray, np.ndarray]:
+        """At most ``splits`` regions, ascending, and the dimension in which to halve each."""
+        regions = self.leaves()
+        large = regions.volume >= smallest_volume
+        error = np.where(large, regions.gain * regions.volume, 0)
+        worst = _largest(error, splits - int(splits * EXPLORE))
+        # What no node has seen has no error: the largest regions are halved too, in their longest edge.
+        # Of those equally large, and there are many, the worst.
+        unseen = regions.volume * (1 + 0.25 * error / max(error.max(), 1e-300))
+        unseen[~large | (regions.longest < 0)] = 0
+        unseen[worst] = 0
+        unseen = _largest(unseen, int(splits * EXPLORE) if worst.size else splits)
+        chosen = np.concatenate([worst, unseen])
+        axis = np.concatenate([regions.axis[worst], regions.longest[unseen]])
+        order = np.argsort(chosen)
+        return chosen[order], axis[order]
 
     def _reserve(self, count: int) -> None:
         """Room for so many regions."""
@@ -269,29 +329,37 @@ class RegionTree:
             grown(r.density, 0),
             grown(r.axis, 0),
             grown(r.gain, 0),
+            grown(r.longest, 0),
             grown(r.surprise, 1),
         )
 
-    def _halve(self, chosen: np.ndarray, d: int) -> None:
-        """Halve regions in dimension d: the lower halves take their place, the upper ones are appended."""
+    def _between(self, chosen: np.ndarray, d: int) -> np.ndarray:
+        """(m, n * 2 * faces) where halving n regions in dimension d wants nodes: 3 along d become 5."""
         r, m = self.regions, self.dimensions
         count, faces = len(chosen), 3 ** (m - 1)
-        # Along d a region's 3 nodes become 5, of which the two new ones are asked for.
         offset = np.indices((3,) * (m - 1)).reshape(m - 1, faces)
         start, log = r.start[:, chosen], r.size[:, chosen].astype(np.int64)
         place = np.empty((m, count, 2, faces), np.int64)
         others = [i for i in range(m) if i != d]
         for row, i in enumerate(others):
             place[i] = (start[i][:, None] + (offset[row] << (log[i][:, None] - 1)))[:, None, :]
-        quarter = np.int64(1) << (log[d] - 2)
-        place[d] = (start[d][:, None] + quarter[:, None] * np.array([1, 3]))[:, :, None]
-        place = place.reshape(m, -1)
-        new = self.store.slots(place, self._key(place)).reshape(count, 2, faces)
+        quarters = np.array([1, 3]) << (log[d][:, None] - 2)
+        place[d] = (start[d][:, None] + quarters)[:, :, None]
+        return place.reshape(m, -1)
+
+    def _halve(self, chosen: np.ndarray, d: int, new: np.ndarray) -> None:
+        """Halve n regions in dimension d: the lower halves take their place, the upper ones are appended.
+
+        new : (n, 2 * faces) slots of the nodes in `_between`.
+        """
+        r, m = self.regions, self.dimensions
+        count, faces = len(chosen), 3 ** (m - 1)
+        new = new.reshape(count, 2, faces)
         old = np.moveaxis(r.nodes[chosen].reshape(count, *(3,) * m), 1 + d, 1).reshape(count, 3, faces)
         line = np.stack([old[:, 0], new[:, 0], old[:, 1], new[:, 1], old[:, 2]], axis=1)
 
         def back(nodes: np.ndarray) -> np.ndarray:
-            return np.moveaxis(nodes.reshape(count, 3, *(3,) * (m - 1)), 1, 1 + d).reshape(count, -1)
+            return np.moveaxis(nodes.reshape(count, 3, *(3,) * (m - 1)), 1, 1 + d).reshape(count, 3**m)
 
         upper = slice(self._count, self._count + count)
         r.surprise[:, upper] = r.surprise[:, chosen]
@@ -299,15 +367,15 @@ class RegionTree:
         r.size[d, chosen] -= 1
         r.volume[chosen] *= 0.5
         r.nodes[chosen] = back(line[:, :3])
-        r.start[:, upper] = start
-        r.start[d, upper] += quarter * 2
+        r.start[:, upper] = r.start[:, chosen]
+        r.start[d, upper] += np.left_shift(1, r.size[d, chosen], dtype=np.int64)
         r.size[:, upper] = r.size[:, chosen]
         r.volume[upper] = r.volume[chosen]
         r.nodes[upper] = back(line[:, 2:])
         self._count += count
 
     def _surprises(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        """(2, n) mean distance of new nodes (n, 2, faces) from the quadratics through old ones (n, 3, faces)."""
+        """(2, n) mean distance of new nodes (n, 2, faces) from the quadratics through (n, 3, faces)."""
         out = np.zeros((2, len(old)))
         weights = face_weights(self.dimensions - 1)
         for channel in self.store.values:
@@ -332,6 +400,11 @@ class RegionTree:
             errors[self.regions.size[:, some] <= self._smallest[:, None]] = 0
             self.regions.axis[some] = errors.argmax(axis=0)
             self.regions.gain[some] = errors.max(axis=0)
+            edge = np.ldexp(1.0, self.regions.size[:, some].astype(np.int64)) / self._full[:, None]
+            edge[self.regions.size[:, some] <= self._smallest[:, None]] = 0
+            longest = edge.max(axis=0)
+            worst = np.where(edge == longest, errors, -1).argmax(axis=0)
+            self.regions.longest[some] = np.where(longest > 0, worst, -1)
 
 
 def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:
@@ -341,12 +414,13 @@ def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:
     does not cancel.
     """
     out = np.zeros((m, len(nodes)))
+    weights = face_weights(m - 1)
+    nodes = np.ascontiguousarray(nodes.T)
     for channel in values:
-        v = channel.take(nodes).reshape(-1, *(3,) * m)
+        v = channel.take(nodes)
         for d in range(m):
-            line = np.moveaxis(v, 1 + d, 1).reshape(len(nodes), 3, -1)
-            bend = np.abs(2 * line[:, 1] - line[:, 0] - line[:, 2])
-            out[d] += bend @ face_weights(m - 1)
+            low, middle, high = np.moveaxis(v.reshape(3**d, 3, -1, nodes.shape[1]), 1, 0)
+            out[d] += weights @ np.abs(2 * middle - low - high).reshape(len(weights), -1)
     return out / 3
 
 

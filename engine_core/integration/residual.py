@@ -23,42 +23,73 @@ EVEN = 0.2
 """Part of a bin's samples that is spread over its regions evenly: no weight exceeds 1 / EVEN."""
 
 
+_NO_ERROR = 1e-300
+"""Below it, a bin's samples are spread evenly."""
+
+
 class Overlaps:
-    """Regions that overlap each bin of a tile, and how samples are shared among them.
+    """Regions that overlap each bin of a tile, and how samples are shared among them."""
 
-    Of P overlaps in the order of `Pairs`: region (P,), begin and width (P,) of the interval of [0, 1) that
-    chooses it, weight (P,) vol / q.
-    """
+    def __init__(
+        self,
+        tile: TileOfRegions,
+        density: np.ndarray,
+        error: np.ndarray,
+        even: float = EVEN,
+        wanted: np.ndarray | None = None,
+    ):
+        """density : (R,) predicted deviation in the tile's regions. error : (B,) in its bins.
 
-    def __init__(self, tile: TileOfRegions, density: np.ndarray, error: np.ndarray, even: float = EVEN):
-        """density : (R,) predicted deviation in the tile's regions. error : (B,) in its bins."""
-        pairs = tile.pairs()
-        self.region, self.first = pairs.region, pairs.first
-        self.single = len(pairs.region) == len(error)
+        wanted : (B,) bool, bins that are to be sampled; None for all.
+        """
+        pairs = tile.pairs(wanted)
+        self._region, self._first, self._next = pairs.region, pairs.first[:-1], pairs.first[1:]
+        count = np.diff(pairs.first)
+        self.single = not (count > 1).any()
         if self.single:
             return
-        total = error.take(pairs.bin)
-        share = pairs.volume * density.take(pairs.region)
-        chance = np.where(
-            total > 0, even * pairs.volume + (1 - even) * share / np.where(total > 0, total, 1), 0
-        )
-        chance = np.where(total > 0, chance, pairs.volume)
-        running = np.cumsum(chance)
-        begin = np.concatenate([[0.0], running])[pairs.first[:-1]]
-        whole = running[pairs.first[1:] - 1] - begin
-        end = (running - begin.take(pairs.bin)) / whole.take(pairs.bin)
-        end[pairs.first[1:] - 1] = 1.0
-        self.begin = np.concatenate([[0.0], end[:-1]])
-        self.begin[pairs.first[:-1]] = 0.0
-        self.width = end - self.begin
-        with np.errstate(divide="ignore"):
-            self.weight = pairs.volume / self.width
-        self._upper = end + pairs.bin
+        self._volume = tile.overlap
+        # vol (even + (1 - even) density / error), of all bins one after the other, summed; about 1 in each.
+        scale = np.divide(1 - even, error, out=np.zeros(len(error)), where=error > _NO_ERROR)
+        chance = (self._volume * density).take(pairs.region)
+        chance *= np.repeat(scale, count)
+        chance += (even * self._volume).take(pairs.region)
+        running = np.concatenate([[0.0], np.cumsum(chance)])
+        self._begin, self._end = running[:-1], running[1:]
+        self._low = running.take(self._first)
+        self._length = running.take(self._next) - self._low
+        # How many end before each of equal steps: where to begin to look.
+        self._steps = len(chance) / running[-1]
+        ends = np.bincount((self._end * self._steps).astype(np.int64))
+        self._guide = np.cumsum(ends) - ends
 
-    def choose(self, bin_: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """(N,) the overlaps that x (N,) in [0, 1) chooses in bins (N,)."""
-        pair = np.searchsorted(self._upper, bin_ + x, side="right")
-        return np.clip(pair, self.first.take(bin_), self.first[1:].take(bin_) - 1)
+    def choose(self, bin_: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """(N,) the regions that x (N,) in [0, 1) chooses in bins (N,), and weights (N,) vol / q, or None.
+
+        x becomes uniform in [0, 1] once more.
+        """
+        first = self._first.take(bin_)
+        if self.single:
+            return self._region.take(first), None
+        length = self._length.take(bin_)
+        x *= length
+        x += self._low.take(bin_)
+        pair = self._guide.take((x * self._steps).astype(np.int64))
+        further = np.flatnonzero(self._end.take(pair) <= x)
+        pair[further] += 1
+        further = further[self._end.take(pair[further]) <= x[further]]
+        pair[further] = np.searchsorted(self._end, x[further], side="right")
+        # A rounding may lead out of the bin.
+        np.minimum(pair, self._next.take(bin_) - 1, out=pair)
+        region, begin = self._region.take(pair), self._begin.take(pair)
+        width = self._end.take(pair)
+        width -= begin
+        x -= begin
+        x /= width
+        np.clip(x, 0.0, 1.0, out=x)
+        length *= self._volume.take(region)
+        length /= width
+        return region, length
 
 
 class ResidualSampler:
@@ -105,7 +136,7 @@ class ResidualSampler:
         twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
         after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
         """
-        overlaps = Overlaps(tile, density, error, self._even)
+        overlaps = Overlaps(tile, density, error, self._even, count > 0)
         total = np.zeros((len(tile.channels), len(count)))
         spread = Spread.empty(*total.shape)
         by_chance = chance < 1
@@ -134,26 +165,21 @@ class ResidualSampler:
         screen = self._points[0].points(keys[part], 0, n)
         rest = self._points[1].points(keys[part], 0, n * self._split)
         bin_ = np.repeat(part, n * self._split)
-        first = np.repeat(screen.reshape(len(screen), -1), self._split, axis=1)
+        first = screen.reshape(len(screen), -1)
+        if self._split > 1:
+            first = np.repeat(first, self._split, axis=1)
         rest = rest.reshape(len(rest), bin_.size)
         inside = self._covered - len(first)
         u = np.concatenate([first, rest[:inside]]).astype(np.float64, copy=False)
-        weight = None
-        if overlaps.single:
-            region = overlaps.region.take(bin_)
-        else:
-            chooser = u[len(first) if inside else 0]
-            pair = overlaps.choose(bin_, chooser)
-            region, weight = overlaps.region.take(pair), overlaps.weight.take(pair)
-            chooser -= overlaps.begin.take(pair)
-            chooser /= overlaps.width.take(pair)
-            np.clip(chooser, 0.0, 1.0, out=chooser)
+        region, weight = overlaps.choose(bin_, u[len(first) if inside else 0])
         h = tile.values(region, bin_, u)
         place = tile.place(region, u)
         if self._split == 1:
             screen = place[: len(screen)].reshape(len(screen), len(part), n)
         stage = integrand.first(bins[part], screen)
-        at = np.concatenate([place[len(screen) :], rest[inside:]])
+        at = place[len(screen) :]
+        if inside < len(rest):
+            at = np.concatenate([at, rest[inside:]])
         f = values_at(integrand, stage, len(part) * n, None, at)
         residual = f - h if len(f) == len(h) else f[: len(h)] - h
         if weight is not None:

@@ -40,6 +40,12 @@ CHANNELS = 3
 MOST = 1 << 14
 """Samples of a pixel at most: nets are made for the longest."""
 
+FIRST_PASS = 8
+"""Samples a pixel, the polynomials' included, of the first of the passes that double them."""
+
+MOST_REGIONS = 400_000
+"""Of a picture: about 2 kB each."""
+
 Map = Callable[[Callable, Iterable], list]
 
 
@@ -71,10 +77,11 @@ class ControlVariatePicture:
         self._options = ControlVariates()
         self.regions = self.nodes = 0
 
-    def build(self, map_: Map) -> bool:
+    def build(self, map_: Map, enough: Callable[[], bool]) -> bool:
         """Build the polynomials and write their means into the film; False where they do not help.
 
         map_ : runs a function over items on the workers, and returns the results in order.
+        enough : whether to go on with the polynomials that there are.
         """
         settings, bins = self._settings, self._bins
         alone = settings.integrator == "cv_only"
@@ -94,7 +101,7 @@ class ControlVariatePicture:
         if log_edge is None:
             return False
         tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False)
-        helps = grow(tree, evaluator, budget, total, self._options.max_regions)
+        helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
         self.regions, self.nodes = len(tree), tree.store.count
         if not (helps or alone):
             return False
@@ -108,7 +115,7 @@ class ControlVariatePicture:
         self._film.combined[..., ALPHA] = 1
         self._alone = alone
         if alone:
-            self._due, self._twice = np.ones(bins, np.int64), np.zeros(bins, bool)
+            self._due, self._twice, self.passes = np.ones(bins, np.int64), np.zeros(bins, bool), 1
             self._points = staged_points("sobol", 2, 0, 1, settings.seed + 1)
             self._points[0].prepare(LOOKS)
         else:
@@ -141,11 +148,13 @@ class ControlVariatePicture:
             least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
             due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
         self._due, self._twice = due, twice.reshape(bins)
+        self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
         for group in self._points:
             group.prepare(int(due.max()))
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
         self._spread = Spread.empty(CHANNELS, self._error.size)
+        self._residual = np.zeros((CHANNELS, self._error.size))
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""
@@ -156,22 +165,31 @@ class ControlVariatePicture:
         x, y = self._tiles[number].index
         return int(x[0]), int(y[0]), int(x[-1]) + 1, int(y[-1]) + 1
 
-    def work(self, number: int) -> int:
-        """Samples that a tile takes."""
-        where = tuple(self._tiles[number].index)
-        return int((self._due[where] * (1 + self._twice[where])).sum())
+    def _count(self, where: tuple, number: int) -> np.ndarray:
+        """Samples that pixels have after pass ``number``: a power of two, twice as many each time."""
+        return np.maximum(self._due[where] >> (self.passes - 1 - number), 1)
 
-    def refine(self, number: int, done: Callable[[int], None]) -> None:
+    def work(self, number: int, pass_: int) -> int:
+        """Samples that a tile takes in a pass."""
+        where = tuple(self._tiles[number].index)
+        count = self._count(where, pass_)
+        if pass_:
+            count = count - self._count(where, pass_ - 1)
+        return int((count * (1 + self._twice[where])).sum())
+
+    def refine(self, number: int, pass_: int, done: Callable[[int], None]) -> None:
         """Sample a tile's residual and write it into the film. done : called with samples done."""
         tile = self._tiles[number]
         where = tuple(tile.index)
-        due, twice = self._due[where], self._twice[where]
+        twice = self._twice[where]
         pixels = self._pixels(tile.index)
         if self._alone:
             self._look(tile, pixels, done)
             return
-        depth = np.full(len(due), FAR)
-        seen = np.zeros((self._direct_light.channels - ALPHA, len(due)))
+        count = self._count(where, pass_)
+        new = count - self._count(where, pass_ - 1) if pass_ else count
+        depth = np.full(len(new), FAR)
+        seen = np.zeros((self._direct_light.channels - ALPHA, len(new)))
 
         def after_batch(part: np.ndarray, hits: CameraHits, n: int) -> None:
             depth[part] = np.minimum(hits.depth.reshape(len(part), n)[:, 0], FAR)
@@ -186,22 +204,38 @@ class ControlVariatePicture:
             tile,
             density,
             self._error[where],
-            due,
-            np.ones(len(due)),
+            new,
+            np.ones(len(new)),
             twice,
             after_batch,
+            later=pass_ > 0,
         )
-        count = due * (1 + twice)
-        seen /= count
-        self._spread.store(where[0] * self._bins[1] + where[1], spread)
-        film = self._film
+        film, at = self._film, where[0] * self._bins[1] + where[1]
+        seen /= np.maximum(new * (1 + twice), 1)
+        if pass_ == 0:
+            self._spread.store(at, spread)
+            film.depth[where[1], where[0]] = depth
+        else:
+            # Those that got new samples got as many as they had.
+            more = new > 0
+            old = self._residual[:, at]
+            self._spread.double(at[more], old[:, more], mean[:, more], _part(spread, more))
+            mean = np.where(more, (old + mean) / 2, old)
+            before = film.combined[where[1], where[0], ALPHA]
+            seen[0] = np.where(more, (before + seen[0]) / 2, before)
+            if self._settings.normals:
+                before = film.normal[where[1], where[0]].T
+                seen[NORMAL.start - ALPHA :] = np.where(
+                    more, (before + seen[NORMAL.start - ALPHA :]) / 2, before
+                )
+        self._residual[:, at] = mean
         self._write(*where, self._mean[(slice(None), *where)] + mean)
-        film.residual[where[1], where[0]] = mean.T
-        film.sample_count[where[1], where[0]] = count
-        film.depth[where[1], where[0]] = depth
+        film.residual[where[1], where[0]] = np.clip(mean, -LARGEST, LARGEST).T
+        film.sample_count[where[1], where[0]] = count * (1 + twice)
         film.combined[where[1], where[0], ALPHA] = seen[0]
         if self._settings.normals:
             film.normal[where[1], where[0]] = seen[NORMAL.start - ALPHA :].T
+        self._reached = pass_
 
     def _look(self, tile: TileOfRegions, pixels: Pixels, done: Callable[[int], None]) -> None:
         """Camera rays alone: the polynomials know neither depth, nor normals, nor alpha."""
@@ -228,9 +262,14 @@ class ControlVariatePicture:
 
     def finish(self) -> None:
         """Fill the film's standard error."""
-        error = standard_error(self._spread, self._due.ravel(), self._bins, self._error.ravel())
+        count = self._count((slice(None), slice(None)), self._reached)
+        error = standard_error(self._spread, count.ravel(), self._bins, self._error.ravel())
         error = error.reshape(-1, *self._bins)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
+
+
+def _part(spread: Spread, which: np.ndarray) -> Spread:
+    return Spread(spread.half[:, which], spread.twice[:, which])
 
 
 def serves(integrand: DirectLight) -> bool:

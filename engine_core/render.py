@@ -191,8 +191,13 @@ class _Render:
         def map_(function, items):
             return list(pool.map(_quietly, repeat(function), items))
 
+        def enough() -> bool:
+            # Half of the time is the samples', to which the polynomials are worth little alone.
+            limit = settings.time_limit
+            return bool(limit) and time.perf_counter() - self._begin > limit / 2
+
         with ThreadPoolExecutor(1, "cv-render-build") as driver:
-            building = {driver.submit(_quietly, picture.build, map_): None}
+            building = {driver.submit(_quietly, picture.build, map_, enough): None}
             outcome = next(iter(building))
             ended = self._wait(
                 building, lambda future, _: None, lambda: "Building the control variate", always=True
@@ -209,29 +214,45 @@ class _Render:
         if helps:
             x0, y0, x1, y1 = self._camera.region
             self._sink.tile(self._film, 0, 0, x1 - x0, y1 - y0)
-            order = sorted(range(len(picture)), key=picture.work, reverse=True)
-            self._pass_work, self._done = sum(map(picture.work, order)), 0
-
-            def done(samples: int) -> None:
-                self._done += samples
-
-            pending = {pool.submit(_quietly, picture.refine, number, done): number for number in order}
-
-            def finish(future: Future, number: int) -> None:
-                future.result()
-                self._sink.tile(self._film, *picture.box(number))
-
-            def text() -> str:
-                return f"Refining, {100 * min(self._done / max(self._pass_work, 1), 1):.0f} %"
-
-            ended = self._wait(pending, finish, text)
-            if settings.standard_error and not ended and not alone:
+            ended = self._refine(pool, picture)
+            if settings.standard_error and not alone:
                 picture.finish()
         counts = picture.integrand
         self._counts["camera rays"] += counts.camera_rays
         self._counts["shadow rays"] += counts.shadow_rays
         self._counts["non-finite samples"] += counts.non_finite
         return (ended or "samples") if helps else None
+
+    def _refine(self, pool: Executor, picture: ControlVariatePicture) -> str | None:
+        """Passes over the tiles that double the samples each time; returns why they were stopped."""
+        work = [[picture.work(n, p) for n in range(len(picture))] for p in range(picture.passes)]
+        total, before = max(sum(map(sum, work)), 1), 0.0
+
+        def done(samples: int) -> None:
+            self._done += samples
+
+        def finish(future: Future, number: int) -> None:
+            future.result()
+            self._sink.tile(self._film, *picture.box(number))
+
+        for pass_, samples in enumerate(work):
+            self._pass_work, self._done = sum(samples), 0
+            # The largest first, so that no thread ends up with it alone.
+            order = sorted((n for n in range(len(picture)) if samples[n]), key=lambda n: -samples[n])
+            pending = {pool.submit(_quietly, picture.refine, n, pass_, done): n for n in order}
+            share = self._pass_work / total
+            ended = self._wait(
+                pending,
+                finish,
+                lambda pass_=pass_: f"Refining, pass {pass_ + 1} of {picture.passes}",
+                before,
+                share,
+                always=pass_ == 0,
+            )
+            if ended:
+                return ended
+            before += share
+        return None
 
     # -- plain samples -----------------------------------------------------------------------------
 
@@ -392,7 +413,7 @@ class _Render:
         share = np.float32(count / (start + count))
         if self._spread is not None and start == count:
             number = row.astype(np.int64) * film.depth.shape[1] + column
-            self._spread.half[:, number] = np.square(before[:3] - mean[:3]) / 4
+            self._spread.half[:, number] = (before[:3] - mean[:3]) / 2
         film.combined[row, column] = (before + (mean[:4] - before) * share).T
         if self._settings.normals:
             old = film.normal[row, column].T

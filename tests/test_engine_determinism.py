@@ -18,7 +18,7 @@ SCENES = {
     "one light": studio(lights=[area_light()]),
     "mixed lights": studio(lights=mixed_lights(12), world=World(0.1)),
 }
-SETTINGS = Settings(samples=8, threads=1, tile_size=16, normals=True)
+SETTINGS = Settings(integrator="sobol", samples=8, threads=1, tile_size=16, normals=True)
 
 
 class ShuffledExecutor(Executor):
@@ -149,5 +149,5 @@ def test_region_is_the_crop_of_the_whole_picture(scene, region):
 def test_long_sums_do_not_depend_on_the_batch():
     # 2^14 equal samples a pixel: naive float32 sums would drift.
     scene = studio(8, 8, world=World((0.1, 0.3, 0.7)))
-    settings = Settings(samples=1 << 14, threads=1, batch_size=1 << 20)
+    settings = Settings(integrator="sobol", samples=1 << 14, threads=1, batch_size=1 << 20)
     assert_close(render(scene, settings), render(scene, dataclasses.replace(settings, batch_size=64 * 64)))

@@ -47,7 +47,7 @@ def test_furnace_returns_the_reflectance():
 
 
 def test_transparent_background_is_the_object_alone():
-    film = _render(OBJECTS["flat sphere"], transparent=True)
+    film = _render(OBJECTS["flat sphere"], transparent=True, integrator="sobol")
     alpha = film.combined[..., 3]
     assert alpha.min() == 0 and alpha.max() == 1
     assert ((alpha > 0) & (alpha < 1)).any()

@@ -115,13 +115,21 @@ def root_edge(bins: tuple[int, ...], dimensions: int, budget: float) -> int | No
     return min(cheap) if cheap else min(fitting, key=lambda log: (cost(log), log))
 
 
-def grow(tree: RegionTree, evaluator: NodeEvaluator, budget: float, samples: float, max_regions: int) -> bool:
+def grow(
+    tree: RegionTree,
+    evaluator: NodeEvaluator,
+    budget: float,
+    samples: float,
+    max_regions: int,
+    enough: Callable[[], bool] = lambda: False,
+) -> bool:
     """Halve the worst regions until ``budget`` evaluations are spent; False if no polynomial helps.
 
     samples : residual samples to come, in all; no region is halved that would hold less than one.
+    enough : asked before every batch; True ends it there.
     """
     checks = list(HOPELESS)
-    while evaluator.evaluations < budget and len(tree) < max_regions:
+    while evaluator.evaluations < budget and len(tree) < max_regions and not enough():
         left = (budget - evaluator.evaluations) / (evaluator.cost * tree.cost_of_split)
         splits = int(min(max(8, len(tree) * SWEEP), max(left, 1), max_regions - len(tree)))
         if not tree.sweep(splits, 1 / max(samples, 1)):

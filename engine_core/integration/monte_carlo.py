@@ -73,8 +73,8 @@ def sampled(problem: Problem, kind: str, samples: float) -> Result:
     value = (first + second) / n
     spread = Spread.empty(*value.shape)
     if n > 1:
-        spread.half[:] = np.square(first / (n // 2) - second / (n - n // 2)) / 4
-    spread.twice[:, twice] = np.square(value[:, twice] - other) / 2
+        spread.half[:] = (first / (n // 2) - second / (n - n // 2)) / 2
+    spread.twice[:, twice] = (value[:, twice] - other) / np.sqrt(2)
     value[:, twice] = (value[:, twice] + other) / 2
     error = standard_error(spread, np.full(count, n), problem.bins, independent=independent)
     value = value.reshape(-1, *problem.bins)

@@ -298,7 +298,7 @@ class Quadrature:
         error = np.full(means.shape[:2], np.inf)
         if parts == 2:
             spread = Spread.empty(len(means), total)
-            spread.half[:] = np.square(means[:, :, 0] - means[:, :, 1]) / 4
+            spread.half[:] = (means[:, :, 0] - means[:, :, 1]) / 2
             error = standard_error(spread, np.full(total, points), bins, independent=True)
         return Result(
             value=value,

@@ -128,6 +128,7 @@ class ResidualSampler:
         chance: np.ndarray,
         twice: np.ndarray,
         after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
+        later: bool = False,
     ) -> tuple[np.ndarray, Spread]:
         """Mean residual (C, B) of a tile's bins, and its spread.
 
@@ -135,6 +136,7 @@ class ResidualSampler:
         chance : (B,) that a bin was to be sampled; its mean is divided by it.
         twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
         after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
+        later : the second ``count`` samples of the nets, not the first.
         """
         overlaps = Overlaps(tile, density, error, self._even, count > 0)
         total = np.zeros((len(tile.channels), len(count)))
@@ -146,24 +148,29 @@ class ResidualSampler:
                 width = max(1, self._batch // int(n * self._split))
                 for low in range(0, len(chosen), width):
                     part = chosen[low : low + width]
-                    residual, stage = self._residual(integrand, bins, keys_, tile, overlaps, part, int(n))
+                    residual, stage = self._residual(
+                        integrand, bins, keys_, tile, overlaps, part, int(n), later
+                    )
                     halves = residual.reshape(len(residual), len(part), min(int(n), 2), -1).mean(axis=3)
                     mean = halves.mean(axis=2) / chance[part]
                     if again:
-                        spread.twice[:, part] = np.square(total[:, part] - mean) / 2
+                        spread.twice[:, part] = (total[:, part] - mean) / np.sqrt(2)
                         mean = (total[:, part] + mean) / 2
                     elif n > 1:
-                        spread.half[:, part] = np.square(halves[:, :, 0] - halves[:, :, 1]) / 4
+                        spread.half[:, part] = (halves[:, :, 0] - halves[:, :, 1]) / 2
                     total[:, part] = mean
                     if after_batch is not None:
                         after_batch(part, stage, int(n))
-        spread.twice[:, by_chance] = np.square(total[:, by_chance])
+        spread.twice[:, by_chance] = total[:, by_chance]
         return total, spread
 
-    def _residual(self, integrand, bins, keys, tile, overlaps, part, n) -> tuple[np.ndarray, Any]:
+    def _residual(
+        self, integrand, bins, keys, tile, overlaps, part, n, later=False
+    ) -> tuple[np.ndarray, Any]:
         """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage."""
-        screen = self._points[0].points(keys[part], 0, n)
-        rest = self._points[1].points(keys[part], 0, n * self._split)
+        start = n if later else 0
+        screen = self._points[0].points(keys[part], start, n)
+        rest = self._points[1].points(keys[part], start * self._split, n * self._split)
         bin_ = np.repeat(part, n * self._split)
         first = screen.reshape(len(screen), -1)
         if self._split > 1:

@@ -42,9 +42,9 @@ def sampled_twice(bins: int, one_in: int, seed: int) -> np.ndarray:
 class Spread:
     """What B bins' samples say of their own noise, (C, B) each.
 
-    half : squared difference of the two halves' means, over 4; 0 of a single sample.
-    twice : half the squared difference of two independent means; NaN where there is only one. Where a bin
-        is sampled by chance, the square of its estimate, which is 0 if it was not.
+    half : half the difference of the two halves' means; 0 of a single sample.
+    twice : the difference of two independent means over sqrt(2); NaN where there is only one. Where a bin
+        is sampled by chance, its estimate, which is 0 if it was not.
     """
 
     half: np.ndarray
@@ -58,6 +58,16 @@ class Spread:
         """Take over another's bins, all of them, as ``where`` (B',)."""
         self.half[:, where] = other.half
         self.twice[:, where] = other.twice
+
+    def double(self, where: np.ndarray, before: np.ndarray, new: np.ndarray, other: Spread) -> None:
+        """As many samples again in bins ``where`` (B',): means (C, B') before, and of the new ones alone.
+
+        other : the new ones' spread. Old and new are the halves of what there is now.
+        """
+        twice = ~np.isnan(other.twice[0])
+        # The mean of two nets has half the variance of one, of which `half` tells.
+        self.half[:, where] = (before - new) / 2 * np.where(twice, np.sqrt(2), 1)
+        self.twice[:, where] = (self.twice[:, where] + other.twice) / 2
 
 
 def standard_error(
@@ -85,7 +95,7 @@ def standard_error(
     halves = count >= 2
     expected = square * np.maximum(count, 1) ** -1.5
     evidence = (
-        _pooled(np.where(halves, spread.half, 0), np.where(halves, expected, 0), shape, NEAR) * expected
+        _pooled(np.where(halves, np.square(spread.half), 0), np.where(halves, expected, 0), shape, NEAR) * expected
     )
     # Of a single sample nothing is known but what was predicted, whether it was drawn or not.
     single = count < 2
@@ -93,7 +103,7 @@ def standard_error(
     variance = np.empty((channels, total))
     for kind in (halves, single):
         seen = kind & twice
-        truth = np.where(seen, spread.twice, 0)
+        truth = np.where(seen, np.square(spread.twice), 0)
         basis = np.where(seen, evidence, 0)
         if independent and kind is halves or not seen.any():
             # Without a witness, halves count as independent, which overstates, and a prediction is believed.

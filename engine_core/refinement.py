@@ -109,7 +109,7 @@ class ControlVariatePicture:
         self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
         self._mean = np.zeros((CHANNELS, *bins))
         self._error = np.zeros(bins)
-        self._tiles = map_(self._integrate, range(len(self._variate)))
+        map_(self._integrate, range(len(self._variate)))
         self._write(slice(None), slice(None), self._mean)
         self._film.control_variate[:] = self._mean.transpose(2, 1, 0)
         self._film.combined[..., ALPHA] = 1
@@ -126,12 +126,11 @@ class ControlVariatePicture:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
         return Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(x), np.int32))
 
-    def _integrate(self, number: int) -> TileOfRegions:
+    def _integrate(self, number: int) -> None:
         self._check()
         tile = self._variate.tile(number)
         mean, error = tile.means(self._variate.spread)
         self._mean[(slice(None), *tile.index)], self._error[tuple(tile.index)] = mean, error
-        return tile
 
     def _allocate(self) -> None:
         settings, bins = self._settings, self._bins
@@ -158,12 +157,12 @@ class ControlVariatePicture:
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""
-        return len(self._tiles)
+        return len(self._variate)
 
     def box(self, number: int) -> tuple[int, int, int, int]:
         """x0, y0, x1, y1 of a tile in the film."""
-        x, y = self._tiles[number].index
-        return int(x[0]), int(y[0]), int(x[-1]) + 1, int(y[-1]) + 1
+        (x0, y0), (x1, y1) = self._variate.box(number)
+        return x0, y0, x1, y1
 
     def _count(self, where: tuple, number: int) -> np.ndarray:
         """Samples that pixels have after pass ``number``: a power of two, twice as many each time."""
@@ -171,7 +170,8 @@ class ControlVariatePicture:
 
     def work(self, number: int, pass_: int) -> int:
         """Samples that a tile takes in a pass."""
-        where = tuple(self._tiles[number].index)
+        x0, y0, x1, y1 = self.box(number)
+        where = slice(x0, x1), slice(y0, y1)
         count = self._count(where, pass_)
         if pass_:
             count = count - self._count(where, pass_ - 1)
@@ -179,7 +179,7 @@ class ControlVariatePicture:
 
     def refine(self, number: int, pass_: int, done: Callable[[int], None]) -> None:
         """Sample a tile's residual and write it into the film. done : called with samples done."""
-        tile = self._tiles[number]
+        tile = self._variate.tile(number)
         where = tuple(tile.index)
         twice = self._twice[where]
         pixels = self._pixels(tile.index)

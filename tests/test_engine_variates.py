@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -221,4 +222,20 @@ def test_materials_seen_through_a_light_that_is_bright_do_no_harm():
     lamp = AreaLight(1e6, light_to_world=place((0, 0.5, 2.5), (1.2, 0, 0)), size=(0.2, 0.2))
     scene = studio(48, 32, [lamp])
     film = render(dataclasses.replace(scene, materials=(Material(1e-6),) * 2), Settings(samples=16, **CV))
+    assert np.isfinite(film.combined).all()
+
+
+@pytest.mark.parametrize("how", ["cancel", "time"])
+def test_a_long_render_ends_soon(how):
+    began = time.monotonic()
+    settings = Settings(samples=1 << 20, threads=2, **CV)
+    if how == "time":
+        film = render(SCENES["one light"], dataclasses.replace(settings, time_limit=0.5))
+        # H and a first pass everywhere come before any limit.
+        assert (film.sample_count >= 1).all()
+    else:
+        sink = Watcher()
+        sink.cancelled = lambda: time.monotonic() > began + 0.5
+        film = render(SCENES["one light"], settings, sink)
+    assert film.stopped_by == how
     assert np.isfinite(film.combined).all()

@@ -46,7 +46,7 @@ class TileOfRegions:
         self._values = values
         self.channels = range(len(values))
         self.shape = tuple(h - lo for lo, h in zip(low, high, strict=True))
-        self.index = np.indices(self.shape).reshape(bins, -1) + np.array(low)[:, None]
+        self.index = np.indices(self.shape, np.int32).reshape(bins, -1) + np.array(low, np.int32)[:, None]
         self._local = self.index - self.index[:, :1]
         size = self.regions.size.astype(np.int64)
         self.start_bin = (self.regions.start[:bins] >> BIN) - np.array(low)[:, None]
@@ -61,7 +61,6 @@ class TileOfRegions:
         # Whether regions are at least a bin long, and not longer, in each of the bins' dimensions.
         self._whole = (size[:bins] >= BIN).all(axis=1)
         self._within = (size[:bins] <= BIN).all(axis=1)
-        self._slots = self._groups()
         self._rows: np.ndarray | None = None
 
     def _groups(self) -> list[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
@@ -92,7 +91,7 @@ class TileOfRegions:
         h, error = np.zeros((len(self._values), total)), np.zeros(total)
         weights = face_weights(self._dimensions - self._bins)
         density = self.density(spread)
-        for chosen, logs, slots in self._slots:
+        for chosen, logs, slots in self._groups():
             flat = slots.ravel()
             share = self.overlap[chosen]
             error += np.bincount(flat, np.repeat(share * density[chosen], slots.shape[1]), total)
@@ -116,7 +115,7 @@ class TileOfRegions:
         total, shift = self.index.shape[1], len(self.regions).bit_length()
         key_type = np.uint32 if total << shift < 1 << 32 else np.uint64
         parts = []
-        for chosen, _, slots in self._slots:
+        for chosen, _, slots in self._groups():
             key = slots.astype(key_type)
             key <<= key_type(shift)
             key |= chosen.astype(key_type)[:, None]
@@ -211,9 +210,13 @@ class ControlVariate:
         """How many tiles there are."""
         return len(self._first) - 1
 
-    def tile(self, number: int) -> TileOfRegions:
+    def box(self, number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """First bin of a tile in each dimension, and the one after its last."""
         at = np.unravel_index(number, self._counts)
         low = tuple(int(i) << self._log for i in at)
-        high = tuple(min(lo + (1 << self._log), n) for lo, n in zip(low, self.bins, strict=True))
+        return low, tuple(min(lo + (1 << self._log), n) for lo, n in zip(low, self.bins, strict=True))
+
+    def tile(self, number: int) -> TileOfRegions:
+        """Made anew each time: to keep all would take more memory than the picture."""
         part = self._order[self._first[number] : self._first[number + 1]]
-        return TileOfRegions(self._tree.leaves()[part], self._tree.store.values, low, high)
+        return TileOfRegions(self._tree.leaves()[part], self._tree.store.values, *self.box(number))

@@ -16,7 +16,7 @@ import numpy as np
 
 from .allocation import sample_counts
 from .build import NodeEvaluator, grow, root_edge
-from .control_variate import ControlVariate, TileOfRegions
+from .control_variate import ControlVariate
 from .inner_rules import InnerRule, Net
 from .monte_carlo import sampled
 from .point_sets import staged_points
@@ -44,8 +44,10 @@ class ControlVariates:
     share : of the samples, spent on the polynomials.
     defensive : of the residual samples, spread evenly over the bins.
     chance : the smallest probability to sample a bin at all, where less than one sample is due.
-    max_regions, max_overlaps : limits of memory: 4 * 3^cv_dims + 30 + 8 (C + 3) bytes a region or so,
-        and 60 bytes for each overlap of a region with a bin, in the tiles at work.
+    max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m bytes for its nodes' numbers, 19 m + 29
+        for its place and errors, and (8 C + 12) for each node that it added, at most 2 * 3^(m - 1): of four
+        dimensions and one channel about 1.5 kB. An overlap of a region with a bin takes 60 bytes, in the
+        tiles at work only. Bins take 8 (7 C + 8) bytes each.
     """
 
     cv_dims: int | None = None
@@ -54,7 +56,7 @@ class ControlVariates:
     share: float = 1 / 3
     defensive: float = 0.1
     chance: float = 1 / 16
-    max_regions: int = 4_000_000
+    max_regions: int = 1_000_000
     max_overlaps: int = 4_000_000
 
     def estimate(self, problem: Problem) -> Result:
@@ -90,13 +92,12 @@ class ControlVariates:
         shape = (len(tree.store.values), *bins)
         h, error = np.zeros(shape), np.zeros(bins)
 
-        def prepare(number: int) -> TileOfRegions:
+        def prepare(number: int) -> None:
             tile = variate.tile(number)
             mean, deviation = tile.means(variate.spread)
             h[(slice(None), *tile.index)], error[tuple(tile.index)] = mean, deviation
-            return tile
 
-        tiles = problem.pool.map(prepare, range(len(variate)))
+        problem.pool.map(prepare, range(len(variate)))
         integrated = perf_counter()
         residual, count = np.zeros(shape), np.zeros(bins, np.int64)
         spread = Spread.empty(shape[0], error.size)
@@ -118,7 +119,8 @@ class ControlVariates:
             sampler = ResidualSampler(points, covered)
             numbers = np.arange(error.size).reshape(bins)
 
-            def sample(tile: TileOfRegions) -> None:
+            def sample(number: int) -> None:
+                tile = variate.tile(number)
                 where = tuple(tile.index)
                 mean, noise = sampler.sample(
                     problem.integrand,
@@ -134,7 +136,7 @@ class ControlVariates:
                 residual[(slice(None), *where)] = mean
                 spread.store(numbers[where], noise)
 
-            problem.pool.map(sample, tiles)
+            problem.pool.map(sample, range(len(variate)))
             known = standard_error(spread, due.ravel(), bins, error.ravel(), chance.ravel()).reshape(shape)
             count = due * (1 + twice)
         else:
@@ -156,7 +158,7 @@ class ControlVariates:
                 "nodes": tree.store.count,
                 "splits": tree.splits,
                 "sweeps": tree.sweeps,
-                "tiles": len(tiles),
+                "tiles": len(variate),
             },
         )
 

@@ -27,6 +27,15 @@ from .integrators import Entrant, Slowed, print_row
 COMMON = ("smooth3", "ridge3", "disk2", "sscat_occ", "direct4", "spot4", "vrl4", "colour3", "fog5", "grid4")
 """Those of the table in docs/method.md."""
 
+GIVEN_UP = (
+    ("never", ((1.0, np.inf),)),
+    ("at 1/8 above 0.4 alone", ((1 / 8, 0.4),)),
+    ("at 1/4 above 0.2 alone", ((1 / 4, 0.2),)),
+    ("at 1/8 above 0.2", ((1 / 8, 0.2),)),
+    ("at 1/4 above 0.1", ((1 / 8, 0.4), (1 / 4, 0.1))),
+)
+"""What `build.HOPELESS` could be instead: after what part of the budget, above what is unexplained."""
+
 Patch = tuple[Any, str, Any]
 """A module or class, a name in it, and what stands there meanwhile."""
 
@@ -72,18 +81,6 @@ def judge_relatively(judge: Callable, tree: regions.RegionTree, part: slice | np
     weights = regions.face_weights(tree.dimensions)
     mean = sum(np.abs(v).take(tree.regions.nodes[index]) @ weights for v in tree.store.values)
     tree.regions.gain[index] /= np.maximum(mean, 1e-300)
-
-
-def judge_by_size_too(judge: Callable, tree: regions.RegionTree, part: slice | np.ndarray) -> None:
-    """Eq. 4.8 with its size term (b_d - a_d) epsilon, epsilon 1e-5 of the mean brightness."""
-    judge(tree, part)
-    r, index = tree.regions, np.arange(len(tree))[part]
-    edge = np.ldexp(1.0, r.size[:, index].astype(int)) / tree._full[:, None]
-    brightness = sum(float(np.abs(v).mean()) for v in tree.store.values)
-    term = 1e-5 * brightness * edge.max(axis=0) / r.volume[index]
-    unseen = r.gain[index] == 0
-    r.axis[index] = np.where(unseen, edge.argmax(axis=0), r.axis[index])
-    r.gain[index] += term
 
 
 class WithOwnAlpha(residual.ResidualSampler):
@@ -151,12 +148,12 @@ def variants() -> list[Variant]:
         *constant(regions, "TRUST", 0, 0.5, 1),
         Variant("nested error with its sign", patches=((regions, "nested_errors", nested_errors_signed),)),
         Variant("nested error relative", patches=judged(judge_relatively)),
-        Variant("size term of eq. 4.8", patches=judged(judge_by_size_too)),
+        *constant(regions, "EXPLORE", 0, 1 / 8, 1 / 4),
         *constant(build, "SWEEP", 0.1, 0.25),
         *(Variant(f"roots of {1 << k} bins", patches=((whole, "root_edge", lambda *_, k=k: k),))
           for k in (2, 3, 4, 5)),
         *argument("share", 1 / 16, 1 / 8, 1 / 4, 1 / 2),
-        *constant(build, "HOPELESS", 0.1, 0.2, np.inf),
+        *(Variant(f"given up {text}", patches=((build, "HOPELESS", checks),)) for text, checks in GIVEN_UP),
         *argument("defensive", 0.05, 0.25),
         *argument("chance", 1.0),
         Variant("neighbours' errors not asked",

@@ -44,8 +44,8 @@ class ControlVariates:
     share : of the samples, spent on the polynomials.
     defensive : of the residual samples, spread evenly over the bins.
     chance : the smallest probability to sample a bin at all, where less than one sample is due.
-    max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m bytes for its nodes' numbers, 19 m + 29
-        for its place and errors, and (8 C + 12) for each node that it added, at most 2 * 3^(m - 1): of four
+    max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m bytes for its nodes' numbers,
+        19 m + 29 for its place and errors, and (8 C + 12) for each node that it added, at most 2 * 3^(m - 1): of four
         dimensions and one channel about 1.5 kB. An overlap of a region with a bin takes 60 bytes, in the
         tiles at work only. Bins take 8 (7 C + 8) bytes each.
     """

@@ -78,7 +78,7 @@ class NodeStore:
         return self._slots.take(at)
 
     def _find(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where in the table ``keys`` (N,) are, and which (ascending) were not: their places are taken now."""
+        """Where in the table ``keys`` (N,) are, and which, ascending, were not but now have a place."""
         at = keys ^ (keys >> np.uint64(32))
         at *= NODE_KEYS[0]
         at >>= np.uint64(65 - len(self._keys).bit_length())
@@ -106,7 +106,7 @@ class NodeStore:
             return
         used = np.flatnonzero(self._keys != _EMPTY)
         keys, slots = self._keys[used], self._slots[used]
-        room = 1 << (4 * count - 1).bit_length()
+        room = 1 << (2 * count - 1).bit_length()
         self._keys, self._slots = np.full(room, _EMPTY), np.zeros(room, np.int32)
         at, _ = self._find(keys)
         self._slots[at] = slots

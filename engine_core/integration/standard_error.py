@@ -95,7 +95,8 @@ def standard_error(
     halves = count >= 2
     expected = square * np.maximum(count, 1) ** -1.5
     evidence = (
-        _pooled(np.where(halves, np.square(spread.half), 0), np.where(halves, expected, 0), shape, NEAR) * expected
+        _pooled(np.where(halves, np.square(spread.half), 0), np.where(halves, expected, 0), shape, NEAR)
+        * expected
     )
     # Of a single sample nothing is known but what was predicted, whether it was drawn or not.
     single = count < 2

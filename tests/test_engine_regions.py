@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions tile the domain to the last bit, no node is evaluated twice, and H is the mean of h."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine_core.integration.allocation import sample_counts
+from engine_core.integration.control_variate import ControlVariate
+from engine_core.integration.regions import BIN, SMALLEST, WHOLE, RegionTree, root_edges
+from engine_core.integration.residual import Overlaps
+from engine_core.integration.rules import SIMPSON, bin_means, gauss, lagrange
+
+
+class Counted:
+    """An integrand of places, which keeps what it was asked for."""
+
+    def __init__(self, bins: tuple[int, ...], dimensions: int, f) -> None:
+        self.full = np.array([n << BIN for n in bins] + [1 << WHOLE] * (dimensions - len(bins)), float)
+        self.f = f
+        self.places: list[np.ndarray] = []
+
+    def __call__(self, place: np.ndarray) -> tuple[np.ndarray, None]:
+        self.places.append(place)
+        return self.f(place / self.full[:, None])[None], None
+
+
+def edge(u: np.ndarray) -> np.ndarray:
+    return (1 + u[0]) * np.where(((u - 0.4) ** 2).sum(axis=0) < 0.2, 1.0, 0.3)
+
+
+def grown(bins: tuple[int, ...], dimensions: int, sweeps: int = 6, **options) -> tuple[RegionTree, Counted]:
+    counted = Counted(bins, dimensions, edge)
+    tree = RegionTree(bins, dimensions, options.pop("log_edge", 3), counted, **options)
+    for _ in range(sweeps):
+        tree.sweep(max(4, len(tree) // 2), 0.0)
+    return tree, counted
+
+
+GRIDS = [((8,), 1), ((8,), 3), ((8, 8), 2), ((13, 7), 2), ((13, 7), 3), ((8, 8), 4), ((5, 3, 6), 4)]
+
+
+@pytest.mark.parametrize("bins", range(1, 2001, 37))
+@pytest.mark.parametrize("log_edge", [0, 3, 6])
+def test_roots_tile_any_number_of_bins(bins, log_edge):
+    starts, sizes = root_edges(bins, log_edge)
+    assert starts[0] == 0 and starts[-1] + (1 << sizes[-1]) == bins
+    assert (starts[1:] == (starts + (1 << sizes))[:-1]).all()
+    assert (starts % (1 << sizes) == 0).all()  # aligned: halves never straddle a bin
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_regions_tile_the_domain(bins, dimensions):
+    tree, _ = grown(bins, dimensions)
+    regions = tree.leaves()
+    assert abs(regions.volume.sum() - 1) < 1e-13
+    # A point lies in exactly one of them.
+    point = (np.random.default_rng(1).random((dimensions, 200)) * tree._full[:, None]).astype(np.int64)
+    size = 1 << regions.size.astype(np.int64)
+    inside = (point[:, :, None] >= regions.start[:, None]) & (
+        point[:, :, None] < (regions.start + size)[:, None]
+    )
+    assert (inside.all(axis=0).sum(axis=1) == 1).all()
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_no_node_is_evaluated_twice(bins, dimensions):
+    tree, counted = grown(bins, dimensions)
+    places = np.concatenate(counted.places, axis=1)
+    assert np.unique(places, axis=1).shape[1] == places.shape[1] == tree.store.count
+    assert (places >= 0).all() and (places <= tree._full[:, None]).all()
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_a_split_costs_at_most_two_faces_of_nodes(bins, dimensions):
+    tree, counted = grown(bins, dimensions, sweeps=0)
+    for _ in range(6):
+        before, splits = tree.store.count, tree.splits
+        tree.sweep(5, 0.0)
+        assert tree.store.count - before <= (tree.splits - splits) * 2 * 3 ** (dimensions - 1)
+
+
+def test_neighbours_of_a_quadtree_share_their_nodes():
+    counted = Counted((16, 16), 2, edge)
+    tree = RegionTree((16, 16), 2, 4, counted, within_bins=False)
+    while tree.sweep(len(tree), 0.0):  # all down to one bin, whatever their error
+        pass
+    assert len(tree) == 256
+    assert tree.store.count == 33 * 33
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_nodes_hold_the_integrand(bins, dimensions):
+    tree, counted = grown(bins, dimensions)
+    regions = tree.leaves()
+    offset = np.indices((3,) * dimensions).reshape(dimensions, -1)
+    half = regions.size.astype(np.int64) - 1
+    place = regions.start[:, :, None] + (offset[:, None] << half[:, :, None])
+    wanted = edge(place.reshape(dimensions, -1) / counted.full[:, None])
+    assert np.array_equal(tree.store.values[0].take(regions.nodes).ravel(), wanted)
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_h_of_bins_is_the_mean_of_h(bins, dimensions):
+    tree, _ = grown(bins, dimensions)
+    variate = ControlVariate(tree, 3, 1 << 20)
+    x, w = gauss(2)  # exact for quadratics
+    for number in range(len(variate)):
+        tile = variate.tile(number)
+        density = tile.density(None)
+        mean, error = tile.means()
+        pairs = tile.pairs()
+        count = np.diff(pairs.first)
+        bin_ = np.repeat(np.arange(len(count)), count)
+        volume = tile.overlap.take(pairs.region)
+        assert np.allclose(np.bincount(bin_, volume), 1, rtol=0, atol=1e-13)
+        assert np.allclose(np.bincount(bin_, volume * density.take(pairs.region)), error, atol=1e-13)
+        total = np.zeros(len(pairs.region))
+        grid = np.stack(np.meshgrid(*[np.arange(2)] * dimensions, indexing="ij")).reshape(dimensions, -1)
+        for at in grid.T:
+            u = np.repeat(x[at][:, None], len(bin_), axis=1)
+            total += w[at].prod() * tile.values(pairs.region, bin_, u)[0]
+        assert np.allclose(np.bincount(bin_, volume * total), mean[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_samples_inside_overlaps_are_where_h_says(bins, dimensions):
+    # h of a quadratic is that quadratic: so `place` and `values` mean the same point.
+    def quadratic(u: np.ndarray) -> np.ndarray:
+        return ((u - 0.3) ** 2).sum(axis=0) + u.prod(axis=0)
+
+    counted = Counted(bins, dimensions, quadratic)
+    tree = RegionTree(bins, dimensions, 2, counted)
+    for _ in range(5):
+        tree.sweep(max(3, len(tree) // 2), 0.0)
+    variate = ControlVariate(tree, 2, 1 << 20)
+    random = np.random.default_rng(3)
+    for number in range(len(variate)):
+        tile = variate.tile(number)
+        pairs = tile.pairs()
+        bin_ = np.repeat(np.arange(len(pairs.first) - 1), np.diff(pairs.first))
+        u = random.random((dimensions, len(bin_)))
+        at = tile.place(pairs.region, u)
+        k = len(bins)
+        assert (at >= 0).all() and (at <= 1).all()
+        at[:k] = (at[:k] + tile.index[:, bin_]) / np.array(bins)[:, None]
+        assert np.allclose(tile.values(pairs.region, bin_, u)[0], quadratic(at), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), [((8, 8), 2), ((8, 8), 4), ((13, 7), 3)])
+def test_overlaps_are_chosen_as_often_as_their_weights_say(bins, dimensions):
+    tree, _ = grown(bins, dimensions, sweeps=8)
+    tile = ControlVariate(tree, 4, 1 << 20).tile(0)
+    density, (_, error) = tile.density(None), tile.means()
+    overlaps = Overlaps(tile, density, error)
+    n = 1 << 12
+    several = np.argsort(np.diff(tile.pairs().first))[-3:]
+    for bin_ in several:
+        x = (np.arange(n) + 0.5) / n
+        region, weight = overlaps.choose(np.full(n, bin_), x)
+        assert (x >= 0).all() and (x <= 1).all()
+        # E[vol / q] is 1, and no weight exceeds 1 over the even part.
+        assert abs(weight.mean() - 1) < 2e-2 and weight.max() <= 5 + 1e-9
+        assert len(np.unique(region)) > 1
+
+
+def test_a_region_is_halved_no_further_than_its_lattice():
+    counted = Counted((1,), 1, lambda u: np.where(u[0] < 1 / 3, 1.0, 0.0))
+    tree = RegionTree((1,), 1, 0, counted)
+    for _ in range(100):
+        if not tree.sweep(1, 0.0):
+            break
+    assert tree.leaves().size.min() >= SMALLEST
+    tree = RegionTree((4,), 1, 2, counted, within_bins=False)
+    for _ in range(100):
+        if not tree.sweep(4, 0.0):
+            break
+    assert tree.leaves().size.min() == BIN and len(tree) == 4
+
+
+def test_what_no_node_has_seen_is_looked_for():
+    counted = Counted((16, 16), 3, lambda u: np.exp(-((u - 0.3) ** 2).sum(axis=0) / 2e-3))
+    tree = RegionTree((16, 16), 3, 4, counted)
+    assert tree.store.values.max() < 1e-6  # a peak between all nodes of the root
+    for _ in range(40):
+        tree.sweep(8, 0.0)
+    assert tree.store.values.max() > 0.2
+
+
+def test_rules_integrate_what_they_should():
+    x = np.linspace(0, 1, 3)
+    assert np.array_equal(lagrange(x), np.eye(3))
+    for count in (1, 2, 8, 64):
+        m = bin_means(count)
+        assert np.allclose(m.mean(axis=0), SIMPSON, atol=1e-15)
+        edges = np.arange(count + 1) / count
+        cubes = np.diff(edges**3) / 3 * count  # the mean of t^2 in each bin
+        assert np.allclose(m @ x**2, cubes, atol=1e-14)
+
+
+@pytest.mark.parametrize("samples", [10.0, 1000.0, 50_000.0])
+@pytest.mark.parametrize("chance", [1 / 16, 1.0])
+def test_counts_are_powers_of_two_within_the_budget(samples, chance):
+    error = np.random.default_rng(0).random(1000) ** 8
+    count, chances = sample_counts(error, samples, 0.1, chance)
+    assert (count & (count - 1) == 0).all() and (count >= 1).all()
+    assert (chances > 0).all() and (chances <= 1).all() and (chances[count > 1] == 1).all()
+    least = len(error) * chance
+    spent = (count * chances).sum()
+    assert spent <= max(samples, least) + 1e-9
+    assert spent > 0.9 * min(samples, spent + 1) or samples < least
+    order = np.argsort(error)
+    assert count[order][-100:].mean() >= count[order][:100].mean()

@@ -86,10 +86,12 @@ def judge_relatively(judge: Callable, tree: regions.RegionTree, part: slice | np
 class WithOwnAlpha(residual.ResidualSampler):
     """Eq. 2.15 in every bin from its own samples: alpha = Cov(f, h) / Var(h)."""
 
-    def _residual(self, integrand, bins, keys, tile, overlaps, part, n) -> tuple[np.ndarray, Any]:
+    def _residual(
+        self, integrand, bins, keys, tile, overlaps, part, n, later=False
+    ) -> tuple[np.ndarray, Any]:
         def weighted(of: Any) -> tuple[np.ndarray, Any]:
             values, stage = residual.ResidualSampler._residual(
-                self, integrand, bins, keys, of, overlaps, part, n
+                self, integrand, bins, keys, of, overlaps, part, n, later
             )
             return np.array(values, np.float64).reshape(len(values), len(part), n), stage
 

@@ -222,7 +222,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--samples", nargs="+", type=int, default=[2, 4, 8, 16, 32, 64, 128], metavar="N",
                         help="of CV Render (Cycles has 64)")  # fmt: skip
     parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, metavar="NAME",
-                        default=["control_variates", "sobol"], help=f"of CV Render: {', '.join(INTEGRATORS)}")  # fmt: skip
+                        default=["control_variates", "sobol"],
+                        help=f"of CV Render: {', '.join(INTEGRATORS)}")  # fmt: skip
     parser.add_argument("--reference-samples", type=int, metavar="N", help="of half a reference")
     parser.add_argument("--scratch", type=Path, default=SCRATCH, help="keeps references and results")
     parser.add_argument("--mitsuba-python", default=sys.executable, metavar="PYTHON")

@@ -71,8 +71,8 @@ class CVRenderSceneSettings(bpy.types.PropertyGroup):
     light_samples: IntProperty(
         name="Light Samples",
         description="Shadow rays for each camera ray; 0 lets the lights decide. "
-        "More make soft shadows and many lights cleaner, each for a third of the cost of a camera ray. Control "
-        "Variates always takes one for each light",
+        "More make soft shadows and many lights cleaner, each for a third of the cost of a camera ray. "
+        "Control Variates always takes one for each light",
         default=DEFAULTS.light_samples,
         min=0,
         max=1024,

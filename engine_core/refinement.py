@@ -129,7 +129,7 @@ class ControlVariatePicture:
     def _integrate(self, number: int) -> None:
         self._check()
         tile = self._variate.tile(number)
-        mean, error = tile.means(self._variate.spread)
+        mean, error, _ = tile.means(self._variate.spread)
         self._mean[(slice(None), *tile.index)], self._error[tuple(tile.index)] = mean, error
 
     def _allocate(self) -> None:

@@ -703,3 +703,30 @@ def test_coarse_bins_of_references_are_means_of_fine_ones():
     for name in ("disk2", "ridge3", "checkerboard4", "smooth3"):
         fine, coarse = (reference(INTEGRANDS[name], (n, n), cache=None).value for n in (36, 12))
         assert np.allclose(fine.reshape(1, 12, 3, 12, 3).mean(axis=(2, 4)), coarse, rtol=1e-10)
+
+
+def test_rough_bins_are_sampled_as_they_are():
+    integrand = INTEGRANDS["direct4"]
+    truth = reference(integrand, (16, 16)).value
+    rough = np.zeros((16, 16), bool)
+    rough[4:9, 3:12] = True
+    values = []
+    for seed in range(60):
+        result = integrate(integrand.f, 4, (16, 16), 16, seed=seed, rough=rough)
+        assert (result.control_variate[0][rough] == 0).all() and result.statistics["plain bins"] >= 45
+        values.append(result.value)
+    _assert_unbiased(np.stack(values), truth)
+    assert result.evaluations < 1.05 * 16 * 256
+    with pytest.raises(ValueError, match="rough"):
+        integrate(integrand.f, 4, (16, 16), 16, rough=rough[:3])
+
+
+def test_noise_in_a_part_of_the_picture_is_left_to_sampling():
+    def f(u: np.ndarray) -> np.ndarray:
+        cell = (u * 64).astype(np.uint64)
+        noise = (cell[0] * 73856093 ^ cell[1] * 19349663 ^ cell[2] * 83492791) % 97 > 48
+        return np.where(u[0] < 0.5, noise, 1 + u[1] * u[2])
+
+    result = integrate(f, 3, (64, 64), 32)
+    plain = result.control_variate[0] == 0
+    assert plain[:32].mean() > 0.5 and plain[32:].mean() < 0.05

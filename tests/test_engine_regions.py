@@ -109,7 +109,8 @@ def test_h_of_bins_is_the_mean_of_h(bins, dimensions):
     for number in range(len(variate)):
         tile = variate.tile(number)
         density = tile.density(None)
-        mean, error = tile.means()
+        mean, error, unexplained = tile.means()
+        assert (unexplained >= 0).all()
         pairs = tile.pairs()
         count = np.diff(pairs.first)
         bin_ = np.repeat(np.arange(len(count)), count)
@@ -152,7 +153,7 @@ def test_samples_inside_overlaps_are_where_h_says(bins, dimensions):
 def test_overlaps_are_chosen_as_often_as_their_weights_say(bins, dimensions):
     tree, _ = grown(bins, dimensions, sweeps=8)
     tile = ControlVariate(tree, 4, 1 << 20).tile(0)
-    density, (_, error) = tile.density(None), tile.means()
+    density, (_, error, _) = tile.density(None), tile.means()
     overlaps = Overlaps(tile, density, error)
     n = 1 << 12
     several = np.argsort(np.diff(tile.pairs().first))[-3:]
@@ -186,6 +187,19 @@ def test_what_no_node_has_seen_is_looked_for():
     for _ in range(40):
         tree.sweep(8, 0.0)
     assert tree.store.values.max() > 0.2
+
+
+@pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
+def test_bins_left_out_have_no_node_inside(bins, dimensions):
+    without = np.random.default_rng(2).random(bins) < 0.1
+    counted = Counted(bins, dimensions, edge)
+    tree = RegionTree(bins, dimensions, 3, counted, without=without)
+    for _ in range(4):
+        tree.sweep(8, 0.0)
+    assert abs(tree.leaves().volume.sum() - (~without).mean()) < 1e-13
+    place = np.concatenate(counted.places, axis=1)[: len(bins)]
+    inside = (place & ((1 << BIN) - 1) != 0).all(axis=0)  # of a bin: on no edge
+    assert not without[tuple(place[:, inside] >> BIN)].any()
 
 
 def test_rules_integrate_what_they_should():

@@ -22,6 +22,10 @@ HOPELESS = ((1 / 8, 0.4), (1 / 4, 0.2))
 """After what part of the budget a polynomial is given up if so much of the variance is unexplained. White
 noise shows 0.6; thin occluders show 0.3, then 0.2, and lose; what gains shows less than 0.1."""
 
+EVERYWHERE = 0.6
+"""Only if regions of this part of the volume say so too: an edge, a peak or noise in a corner may be all of
+the variance, but they are left to the samples' allocation."""
+
 FEWEST_REGIONS = 64
 """Below which nothing is given up, since nothing is known."""
 
@@ -135,23 +139,34 @@ def grow(
         if not tree.sweep(splits, 1 / max(samples, 1)):
             break
         while checks and evaluator.evaluations > checks[0][0] * budget and len(tree) >= FEWEST_REGIONS:
-            if unexplained(tree) > checks.pop(0)[1]:
+            if _hopeless(tree, checks.pop(0)[1]):
                 return False
-    return unexplained(tree) <= HOPELESS[0][1]
+    return not _hopeless(tree, HOPELESS[0][1])
 
 
-def unexplained(tree: RegionTree) -> float:
-    """The part of the integrand's variance that is left to the residual, as the nodes see it."""
+def _hopeless(tree: RegionTree, limit: float) -> bool:
+    left, where = unexplained(tree)
+    return left > limit and where > EVERYWHERE
+
+
+def unexplained(tree: RegionTree) -> tuple[float, float]:
+    """The part of the integrand's variance that is left to the residual, as the nodes see it, and the part of
+    the volume where more than a fifth of a region's own variance is.
+    """
     regions, values = tree.leaves(), tree.store.values
     weights = face_weights(tree.dimensions)
-    mean, square = np.zeros(len(values)), np.zeros(len(values))
+    mean, square, where = np.zeros(len(values)), np.zeros(len(values)), 0.0
     step = max(1, (1 << 20) // len(weights))
     for low in range(0, len(regions), step):
         part = slice(low, low + step)
+        own = np.zeros(len(regions.volume[part]))
         for c, channel in enumerate(values):
             v = channel.take(regions.nodes[part]).astype(np.float64)
-            mean[c] += regions.volume[part] @ (v @ weights)
-            square[c] += regions.volume[part] @ ((v * v) @ weights)
+            first, second = v @ weights, (v * v) @ weights
+            mean[c] += regions.volume[part] @ first
+            square[c] += regions.volume[part] @ second
+            own += np.maximum(second - first * first, 0)
+        where += regions.volume[part] @ (regions.density[part] ** 2 > 0.2 * own)
     variance = float(np.maximum(square - mean * mean, 0).sum())
     left = float(regions.volume @ regions.density**2)
-    return left / variance if variance > 0 else 0.0
+    return (left / variance if variance > 0 else 0.0), float(where)

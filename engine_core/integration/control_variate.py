@@ -82,8 +82,9 @@ class TileOfRegions:
             groups.append((chosen, logs, slots.reshape(len(chosen), -1)))
         return groups
 
-    def means(self, spread: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """H (C, B), exact means of the polynomials, and E (B,), the predicted deviation of f - h.
+    def means(self, spread: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """H (C, B), exact means of the polynomials; E (B,), the predicted deviation of f - h; and the part
+        (B,) of the variance of f in the bin, as the nodes see it, that h leaves over.
 
         spread : of the node store, where nodes integrate more dimensions inside.
         """
@@ -91,17 +92,30 @@ class TileOfRegions:
         h, error = np.zeros((len(self._values), total)), np.zeros(total)
         weights = face_weights(self._dimensions - self._bins)
         density = self.density(spread)
+        moments = np.zeros((3, total))
+        mean, square = self._moments()
         for chosen, logs, slots in self._groups():
-            flat = slots.ravel()
+            flat, times = slots.ravel(), slots.shape[1]
             share = self.overlap[chosen]
-            error += np.bincount(flat, np.repeat(share * density[chosen], slots.shape[1]), total)
+            error += np.bincount(flat, np.repeat(share * density[chosen], times), total)
+            for out, of in zip(moments, (density**2, mean, square), strict=True):
+                out += np.bincount(flat, np.repeat(share * of[chosen], times), total)
             for out, values in zip(h, self._values, strict=True):
                 v = values.take(self.regions.nodes[chosen]).reshape(len(chosen), -1, self._face) @ weights
                 v = (v * share[:, None]).reshape(len(chosen), *(3,) * self._bins)
                 for log in logs:
                     v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
                 out += np.bincount(flat, v.ravel(), total)
-        return h, error
+        left, mean, square = moments
+        variance = square - mean * mean
+        unexplained = np.divide(left, variance, out=np.zeros(total), where=variance > 1e-12 * square)
+        return h, error, unexplained
+
+    def _moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """(R,) mean of the nodes' values, channels summed, and mean of its square."""
+        weights = face_weights(self._dimensions)
+        values = sum(v.take(self.regions.nodes) for v in self._values).astype(np.float64, copy=False)
+        return values @ weights, np.square(values) @ weights
 
     def density(self, spread: np.ndarray | None) -> np.ndarray:
         """(R,) the predicted deviation of a sample of f - h."""
@@ -120,7 +134,7 @@ class TileOfRegions:
             key <<= key_type(shift)
             key |= chosen.astype(key_type)[:, None]
             parts.append(key.ravel() if wanted is None else key[wanted.take(slots)])
-        key = np.concatenate(parts)
+        key = np.concatenate([np.zeros(0, key_type), *parts])
         key.sort()
         first = np.searchsorted(key, np.arange(total + 1, dtype=key_type) << key_type(shift))
         key &= key_type((1 << shift) - 1)

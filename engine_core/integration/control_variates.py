@@ -18,6 +18,7 @@ from .allocation import sample_counts
 from .build import NodeEvaluator, grow, root_edge
 from .control_variate import ControlVariate
 from .inner_rules import InnerRule, Net
+from .integrand import values_at
 from .monte_carlo import sampled
 from .point_sets import staged_points
 from .problem import Problem
@@ -28,6 +29,12 @@ from .standard_error import Spread, sampled_twice, standard_error
 
 TWICE_ONE_IN = 16
 """One bin in so many is sampled by two nets, to know the error of all: 3 % of the error."""
+
+BEYOND_HOPE = 0.5
+"""Part of a bin's variance that h may leave over: where it is more, f itself is sampled."""
+
+PILOT = 8
+"""Points, thrown away, that tell how often a bin without nodes is to be sampled."""
 
 MOST_DIMENSIONS = 5
 """Dimensions that the polynomial covers unless told otherwise: 3^5 nodes a region."""
@@ -44,10 +51,12 @@ class ControlVariates:
     share : of the samples, spent on the polynomials.
     defensive : of the residual samples, spread evenly over the bins.
     chance : the smallest probability to sample a bin at all, where less than one sample is due.
+    rough : (*bins) bool, bins that no polynomial is known to serve: no node lies inside, f itself is
+        sampled there, as often as a pilot of 8 points, thrown away, says.
     max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m bytes for its nodes' numbers,
-        19 m + 29 for its place and errors, and (8 C + 12) for each node that it added, at most 2 * 3^(m - 1): of four
-        dimensions and one channel about 1.5 kB. An overlap of a region with a bin takes 60 bytes, in the
-        tiles at work only. Bins take 8 (7 C + 8) bytes each.
+        19 m + 29 for its place and errors, and (8 C + 12) for each node that it added, at most
+        2 * 3^(m - 1): of four dimensions and one channel about 1.5 kB. An overlap of a region with a bin
+        takes 60 bytes, in the tiles at work only. Bins take 8 (7 C + 8) bytes each.
     """
 
     cv_dims: int | None = None
@@ -56,6 +65,7 @@ class ControlVariates:
     share: float = 1 / 3
     defensive: float = 0.1
     chance: float = 1 / 16
+    rough: np.ndarray | None = None
     max_regions: int = 1_000_000
     max_overlaps: int = 4_000_000
 
@@ -64,6 +74,8 @@ class ControlVariates:
         covered = self.cv_dims or max(len(bins), min(ndim, MOST_DIMENSIONS))
         if not len(bins) <= covered <= ndim:
             raise ValueError(f"cv_dims is {self.cv_dims}, wanted {len(bins)} to {ndim}")
+        if self.rough is not None and np.shape(self.rough) != bins:
+            raise ValueError(f"rough has shape {np.shape(self.rough)}, wanted that of bins, {bins}")
         inner = None if covered == ndim else self.inner or Net(16)
         begin = perf_counter()
         evaluator = NodeEvaluator(
@@ -72,16 +84,17 @@ class ControlVariates:
         total = problem.samples * float(np.prod(bins))
         budget = total * (self.share if self.residual else 1.0)
         log_edge = root_edge(bins, covered, budget / evaluator.cost)
-        helps = log_edge is not None
+        rough = None if self.rough is None else np.asarray(self.rough, bool)
+        helps = log_edge is not None and not (rough is not None and rough.all())
         if helps:
-            tree = RegionTree(bins, covered, log_edge, evaluator)
+            tree = RegionTree(bins, covered, log_edge, evaluator, without=rough)
             helps = grow(tree, evaluator, budget, total, self.max_regions) or not self.residual
         if not helps:
             if not self.residual:
                 raise ValueError(f"{problem.samples} samples a bin are too few for a single region of nodes")
             left = problem.samples - evaluator.evaluations / float(np.prod(bins))
             result = sampled(problem, "sobol", left)
-            result.statistics["regions given up"] = 0 if log_edge is None else len(tree)
+            result.statistics["nodes"] = evaluator.evaluations
             return result
         built = perf_counter()
         return self._integrate(problem, tree, log_edge, covered, total - evaluator.evaluations, begin, built)
@@ -90,14 +103,23 @@ class ControlVariates:
         bins = problem.bins
         variate = ControlVariate(tree, log_edge, self.max_overlaps)
         shape = (len(tree.store.values), *bins)
-        h, error = np.zeros(shape), np.zeros(bins)
+        h, error, plain = np.zeros(shape), np.zeros(bins), np.zeros(bins, bool)
 
         def prepare(number: int) -> None:
             tile = variate.tile(number)
-            mean, deviation = tile.means(variate.spread)
-            h[(slice(None), *tile.index)], error[tuple(tile.index)] = mean, deviation
+            where = tuple(tile.index)
+            mean, error[where], unexplained = tile.means(variate.spread)
+            if self.residual:
+                plain[where] = unexplained > BEYOND_HOPE
+                mean[:, plain[where]] = 0
+            h[(slice(None), *where)] = mean
 
         problem.pool.map(prepare, range(len(variate)))
+        if self.rough is not None and np.any(self.rough):
+            plain |= np.asarray(self.rough, bool)
+            where = np.nonzero(plain & (error == 0))
+            error[where] = _pilot(problem, np.stack(where))
+            samples -= PILOT * len(where[0])
         integrated = perf_counter()
         residual, count = np.zeros(shape), np.zeros(bins, np.int64)
         spread = Spread.empty(shape[0], error.size)
@@ -132,6 +154,7 @@ class ControlVariates:
                     due[where],
                     chance[where],
                     twice[where],
+                    plain=plain[where],
                 )
                 residual[(slice(None), *where)] = mean
                 spread.store(numbers[where], noise)
@@ -159,8 +182,21 @@ class ControlVariates:
                 "splits": tree.splits,
                 "sweeps": tree.sweeps,
                 "tiles": len(variate),
+                "plain bins": int(plain.sum()),
             },
         )
+
+
+def _pilot(problem: Problem, index: np.ndarray) -> np.ndarray:
+    """(B,) the deviation of f in the bins at index (K, B), half their own and half that of all of them."""
+    cells, keys = problem.cells(index), problem.keys(index)
+    screen = len(problem.bins)
+    points = staged_points("monte_carlo", screen, problem.ndim - screen, 1, problem.seed + 2, np.float64)
+    stage = problem.integrand.first(cells, points[0].points(keys, 0, PILOT))
+    rest = points[1].points(keys, 0, PILOT).reshape(problem.ndim - screen, len(keys) * PILOT)
+    f = values_at(problem.integrand, stage, len(keys) * PILOT, None, rest)
+    variance = f.reshape(len(f), len(keys), PILOT).var(axis=2, ddof=1).sum(axis=0)
+    return np.sqrt((variance + variance.mean()) / 2)
 
 
 def _drawn(chance: np.ndarray, seed: int) -> np.ndarray:

@@ -200,6 +200,35 @@ def root_edges(bins: int, log_edge: int) -> tuple[np.ndarray, np.ndarray]:
     return starts, sizes
 
 
+def _roots(bins: tuple[int, ...], log_edge: int, without: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and log2 sizes (K, R), in bins, of the boxes that tile all bins but those of ``without``."""
+    edges = [root_edges(n, log_edge) for n in bins]
+    start, size = (
+        np.stack([a.ravel() for a in np.meshgrid(*[e[i] for e in edges], indexing="ij")]) for i in (0, 1)
+    )
+    if without is None or not without.any():
+        return start, size
+    table = np.pad(without.astype(np.int64), [(1, 0)] * len(bins))
+    for axis in range(len(bins)):
+        table = table.cumsum(axis)
+    done = []
+    while start.size:
+        # How many of its bins are left out, from the sums at a box's corners.
+        marked = np.zeros(start.shape[1], np.int64)
+        for corner in np.ndindex((2,) * len(bins)):
+            at = start + (1 << size) * np.array(corner)[:, None]
+            marked += (-1) ** (len(bins) - sum(corner)) * table[tuple(at)]
+        done.append((start[:, marked == 0], size[:, marked == 0]))
+        mixed = (marked > 0) & (marked < 1 << size.sum(axis=0))
+        start, size = start[:, mixed], size[:, mixed]
+        longest = size.argmax(axis=0)[None], np.arange(start.shape[1])
+        size[longest] -= 1
+        upper = start.copy()
+        upper[longest] += 1 << size[longest]
+        start, size = np.concatenate([start, upper], axis=1), np.concatenate([size, size], axis=1)
+    return tuple(np.concatenate(parts, axis=1) for parts in zip(*done, strict=True))
+
+
 class RegionTree:
     """Regions that tile the domain, and the worst of them halved until a budget is spent.
 
@@ -213,10 +242,11 @@ class RegionTree:
         log_edge: int,
         evaluate: Evaluate,
         within_bins: bool = True,
+        without: np.ndarray | None = None,
     ) -> None:
         """dimensions : m, the bins' and those after them. log_edge : roots are 2^log_edge bins long.
 
-        within_bins : whether regions may be shorter than a bin.
+        within_bins : whether regions may be shorter than a bin. without : (*bins) bool, bins of no region.
         """
         self.bins = bins
         self.dimensions = m = dimensions
@@ -226,14 +256,11 @@ class RegionTree:
         self._smallest = np.full(m, SMALLEST)
         if not within_bins:
             self._smallest[: len(bins)] = BIN
-        edges = [root_edges(n, log_edge) for n in bins]
-        starts = np.meshgrid(*[e[0] for e in edges], indexing="ij")
-        sizes = np.meshgrid(*[e[1] for e in edges], indexing="ij")
-        count = starts[0].size
+        low, log = _roots(bins, log_edge, without)
+        count = low.shape[1]
         start, size = np.zeros((m, count), np.int64), np.full((m, count), WHOLE, np.int8)
-        for d, (low, log) in enumerate(zip(starts, sizes, strict=True)):
-            start[d] = low.ravel() << BIN
-            size[d] = log.ravel() + BIN
+        start[: len(bins)] = low << BIN
+        size[: len(bins)] = log + BIN
         self._full = np.array([n << BIN for n in bins] + [1 << WHOLE] * (m - len(bins)), np.float64)
         self.regions = Regions(
             start,

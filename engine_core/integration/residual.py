@@ -129,6 +129,7 @@ class ResidualSampler:
         twice: np.ndarray,
         after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
         later: bool = False,
+        plain: np.ndarray | None = None,
     ) -> tuple[np.ndarray, Spread]:
         """Mean residual (C, B) of a tile's bins, and its spread.
 
@@ -137,20 +138,25 @@ class ResidualSampler:
         twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
         after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
         later : the second ``count`` samples of the nets, not the first.
+        plain : (B,) bins that h does not serve: f itself is sampled there, as by any net.
         """
-        overlaps = Overlaps(tile, density, error, self._even, count > 0)
+        plain = np.zeros(len(count), bool) if plain is None else plain
+        overlaps = Overlaps(tile, density, error, self._even, (count > 0) & ~plain)
         total = np.zeros((len(tile.channels), len(count)))
         spread = Spread.empty(*total.shape)
         by_chance = chance < 1
-        for bins_, keys_, again in ((count > 0, keys, False), ((count > 0) & twice, keys ^ SECOND, True)):
+        kinds = [
+            (which & kind, of, again, keys_)
+            for which, again, keys_ in ((count > 0, False, keys), ((count > 0) & twice, True, keys ^ SECOND))
+            for kind, of in ((~plain, overlaps), (plain, None))
+        ]
+        for bins_, of, again, keys_ in kinds:
             for n in np.unique(count[bins_]):
                 chosen = np.flatnonzero(bins_ & (count == n))
                 width = max(1, self._batch // int(n * self._split))
                 for low in range(0, len(chosen), width):
                     part = chosen[low : low + width]
-                    residual, stage = self._residual(
-                        integrand, bins, keys_, tile, overlaps, part, int(n), later
-                    )
+                    residual, stage = self._residual(integrand, bins, keys_, tile, of, part, int(n), later)
                     halves = residual.reshape(len(residual), len(part), min(int(n), 2), -1).mean(axis=3)
                     mean = halves.mean(axis=2) / chance[part]
                     if again:
@@ -167,10 +173,18 @@ class ResidualSampler:
     def _residual(
         self, integrand, bins, keys, tile, overlaps, part, n, later=False
     ) -> tuple[np.ndarray, Any]:
-        """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage."""
+        """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage.
+
+        overlaps : None for f alone.
+        """
         start = n if later else 0
         screen = self._points[0].points(keys[part], start, n)
         rest = self._points[1].points(keys[part], start * self._split, n * self._split)
+        if overlaps is None:
+            stage = integrand.first(bins[part], screen)
+            rest = rest.reshape(len(rest), len(part) * n * self._split)
+            f = values_at(integrand, stage, len(part) * n, None, rest)
+            return f[: len(tile.channels)], stage
         bin_ = np.repeat(part, n * self._split)
         first = screen.reshape(len(screen), -1)
         if self._split > 1:

@@ -156,6 +156,8 @@ def variants() -> list[Variant]:
           for k in (2, 3, 4, 5)),
         *argument("share", 1 / 16, 1 / 8, 1 / 4, 1 / 2),
         *(Variant(f"given up {text}", patches=((build, "HOPELESS", checks),)) for text, checks in GIVEN_UP),
+        *constant(build, "EVERYWHERE", 0),
+        *constant(whole, "BEYOND_HOPE", np.inf),
         *argument("defensive", 0.05, 0.25),
         *argument("chance", 1.0),
         Variant("neighbours' errors not asked",

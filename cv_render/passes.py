@@ -53,6 +53,9 @@ def write(engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: 
             array = arrays.get(render_pass.name)
             if array is not None:
                 pixels = np.ascontiguousarray(array[y0:y1, x0:x1], np.float32)
+                if render_pass.name == "Combined":
+                    # Noise about nothing may be below it, which nodes for compositing take badly.
+                    pixels = np.maximum(pixels, 0)
                 render_pass.rect.foreach_set(pixels.ravel())
     finally:
         engine.end_result(result)

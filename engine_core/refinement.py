@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from .image.film import FAR, LARGEST, Film
-from .integration.allocation import sample_counts
+from .integration.allocation import sample_counts, spread_over_neighbours
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
 from .integration.control_variates import TWICE_ONE_IN, ControlVariates
@@ -42,6 +42,12 @@ MOST = 1 << 14
 
 FIRST_PASS = 8
 """Samples a pixel, the polynomials' included, of the first of the passes that double them."""
+
+BEND, COSINE = 0.02, 0.9
+"""How much 1/depth, or the normal, changes over two pixels of an edge."""
+
+CONTRAST = 0.05
+"""Deviation to reckon with at an edge, as a part of the brightest radiance near it."""
 
 MOST_REGIONS = 400_000
 """Of a picture: about 2 kB each."""
@@ -101,26 +107,36 @@ class ControlVariatePicture:
         if log_edge is None:
             return False
         tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False)
-        helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
+        try:
+            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
+        except BaseException:
+            # Given up between two sweeps' evaluations: what was built before them is whole.
+            self._check = lambda: None
+            self._show(tree, log_edge, lambda function, items: [function(item) for item in items])
+            raise
         self.regions, self.nodes = len(tree), tree.store.count
         if not (helps or alone):
             return False
         self._left = total - evaluator.evaluations
-        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
-        self._mean = np.zeros((CHANNELS, *bins))
-        self._error = np.zeros(bins)
-        map_(self._integrate, range(len(self._variate)))
-        self._write(slice(None), slice(None), self._mean)
-        self._film.control_variate[:] = self._mean.transpose(2, 1, 0)
-        self._film.combined[..., ALPHA] = 1
+        self._show(tree, log_edge, map_)
         self._alone = alone
         if alone:
             self._due, self._twice, self.passes = np.ones(bins, np.int64), np.zeros(bins, bool), 1
             self._points = staged_points("sobol", 2, 0, 1, settings.seed + 1)
             self._points[0].prepare(LOOKS)
         else:
-            self._allocate()
+            self._allocate(map_)
         return True
+
+    def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
+        """Integrate the polynomials, and write their means into the film."""
+        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
+        self._mean = np.zeros((CHANNELS, *self._bins))
+        self._error = np.zeros(self._bins)
+        map_(self._integrate, range(len(self._variate)))
+        self._write(slice(None), slice(None), self._mean)
+        self._film.control_variate[:] = np.clip(self._mean, -LARGEST, LARGEST).transpose(2, 1, 0)
+        self._film.combined[..., ALPHA] = 1
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
@@ -132,12 +148,13 @@ class ControlVariatePicture:
         mean, error, _ = tile.means(self._variate.spread)
         self._mean[(slice(None), *tile.index)], self._error[tuple(tile.index)] = mean, error
 
-    def _allocate(self) -> None:
+    def _allocate(self, map_: Map) -> None:
         settings, bins = self._settings, self._bins
         twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed)
         samples = self._left / (1 + twice.mean())
         # Every pixel gets one: depth and alpha are known from samples alone.
-        due, _ = sample_counts(self._error.ravel(), samples, self._options.defensive, 1.0)
+        error = np.maximum(self._error, self._silhouettes(map_))
+        due, _ = sample_counts(error.ravel(), samples, self._options.defensive, 1.0)
         due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._mean.mean(axis=0), 0))
@@ -154,6 +171,44 @@ class ControlVariatePicture:
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
         self._spread = Spread.empty(CHANNELS, self._error.size)
         self._residual = np.zeros((CHANNELS, self._error.size))
+
+    def _silhouettes(self, map_: Map) -> np.ndarray:
+        """(W, H) the least deviation to reckon with, where a camera ray through each pixel finds an edge.
+
+        The tip of a thing may lie between all nodes. Along a plane 1/depth is linear: where it bends, or
+        the normal does, there is an edge, which takes no shadow ray to see.
+        """
+        nearness = np.zeros(self._bins, np.float32)
+        normal = np.zeros((3, *self._bins), np.float32)
+
+        def look(number: int) -> None:
+            (x0, y0), (x1, y1) = self._variate.box(number)
+            index = np.indices((x1 - x0, y1 - y0)).reshape(2, -1) + np.array([[x0], [y0]])
+            middle = np.full((2, index.shape[1], 1), 0.5, np.float32)
+            hits = self.integrand.first(self._pixels(index), middle)
+            lane = slice(None) if hits.lane is None else hits.lane
+            x, y = index[0][lane], index[1][lane]
+            nearness[x, y] = 1 / hits.depth[lane]
+            normal[:, x, y] = hits.points.normal
+
+        map_(look, range(len(self._variate)))
+        edge = np.zeros(self._bins, bool)
+        for axis in (0, 1):
+            low, middle, high = (
+                (slice(None),) * axis + (part,) for part in (slice(None, -2), slice(1, -1), slice(2, None))
+            )
+            if self._bins[axis] < 3:
+                continue
+            bend = np.abs(nearness[low] + nearness[high] - 2 * nearness[middle])
+            found = bend > BEND * np.maximum(nearness[low], nearness[high])
+            cosine = np.einsum("i...,i...->...", normal[(slice(None), *low)], normal[(slice(None), *high)])
+            found |= (nearness[low] > 0) & (nearness[high] > 0) & (cosine < COSINE)
+            for side in (low, middle, high):
+                edge[side] |= found
+        brightness = np.abs(self._mean).sum(axis=0)
+        for _ in range(2):
+            brightness = spread_over_neighbours(brightness, 1.0)
+        return np.where(edge, CONTRAST * brightness, 0)
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .regions import Regions
+NEIGHBOUR = 0.1
+"""Of the largest error among a bin's neighbours, what it is believed to have itself."""
 
 _OCTAVE = 64
 """Steps an octave in which the scale of a budget is sought."""
@@ -17,25 +18,18 @@ _OCTAVE = 64
 _GOLDEN = 0.6180339887498949
 
 
-def neighbourly(density: np.ndarray, regions: Regions, nodes: int) -> np.ndarray:
-    """(R,) half of each region's own error, half the mean over its nodes of those of all who share them.
+def spread_over_neighbours(error: np.ndarray, part: float) -> np.ndarray:
+    """(*bins) errors or, where larger, a part of the largest among neighbouring bins.
 
-    An edge that crosses a region between its nodes is seen by its neighbours.
+    A region may be blind to what its neighbours see: where an edge ends between two nodes, a bin or two
+    beyond those that know of it.
     """
-    shared = regions.nodes.shape[1]
-    total, count = np.zeros(nodes), np.zeros(nodes)
-    step = max(1, (1 << 22) // shared)
-    for low in range(0, len(density), step):
-        part = slice(low, low + step)
-        slots = regions.nodes[part].ravel().astype(np.int64)
-        total += np.bincount(slots, np.repeat(density[part], shared), nodes)
-        count += np.bincount(slots, minlength=nodes)
-    total /= np.maximum(count, 1)
-    out = np.empty(len(density))
-    for low in range(0, len(density), step):
-        part = slice(low, low + step)
-        out[part] = total.take(regions.nodes[part]).mean(axis=1)
-    return 0.5 * (density + out)
+    widest = error
+    for axis in range(error.ndim):
+        low = np.concatenate([widest.take([0], axis), np.delete(widest, -1, axis)], axis)
+        high = np.concatenate([np.delete(widest, 0, axis), widest.take([-1], axis)], axis)
+        widest = np.maximum(widest, np.maximum(low, high))
+    return np.maximum(error, part * widest)
 
 
 def sample_counts(

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .allocation import neighbourly
-from .regions import BIN, WHOLE, Regions, RegionTree, face_weights
+from .regions import BIN, WHOLE, Regions, RegionTree, face_weights, neighbourly
 from .rules import bin_means, lagrange
 
 _LOG_BINS = 14
@@ -98,7 +97,7 @@ class TileOfRegions:
             flat, times = slots.ravel(), slots.shape[1]
             share = self.overlap[chosen]
             error += np.bincount(flat, np.repeat(share * density[chosen], times), total)
-            for out, of in zip(moments, (density**2, mean, square), strict=True):
+            for out, of in zip(moments, (self.regions.density**2, mean, square), strict=True):
                 out += np.bincount(flat, np.repeat(share * of[chosen], times), total)
             for out, values in zip(h, self._values, strict=True):
                 v = values.take(self.regions.nodes[chosen]).reshape(len(chosen), -1, self._face) @ weights

@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from .allocation import sample_counts
+from .allocation import NEIGHBOUR, sample_counts, spread_over_neighbours
 from .build import NodeEvaluator, grow, root_edge
 from .control_variate import ControlVariate
 from .inner_rules import InnerRule, Net
@@ -53,10 +53,9 @@ class ControlVariates:
     chance : the smallest probability to sample a bin at all, where less than one sample is due.
     rough : (*bins) bool, bins that no polynomial is known to serve: no node lies inside, f itself is
         sampled there, as often as a pilot of 8 points, thrown away, says.
-    max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m bytes for its nodes' numbers,
-        19 m + 29 for its place and errors, and (8 C + 12) for each node that it added, at most
-        2 * 3^(m - 1): of four dimensions and one channel about 1.5 kB. An overlap of a region with a bin
-        takes 60 bytes, in the tiles at work only. Bins take 8 (7 C + 8) bytes each.
+    max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m + 17 m + 26 bytes, and each node
+        that it added, at most 2 * 3^(m - 1), 8 C + 24 to 48: measured, in four dimensions 2.2 kB a region. An
+        overlap of a region with a bin takes 60 bytes, in the tiles at work only; a bin 8 (7 C + 8).
     """
 
     cv_dims: int | None = None
@@ -126,7 +125,10 @@ class ControlVariates:
         if self.residual:
             twice = sampled_twice(error.size, TWICE_ONE_IN, problem.seed)
             due, chance = sample_counts(
-                error.ravel(), samples / (1 + twice.mean()), self.defensive, self.chance
+                spread_over_neighbours(error, NEIGHBOUR).ravel(),
+                samples / (1 + twice.mean()),
+                self.defensive,
+                self.chance,
             )
             # One sample that may be left out tells its worth by itself: none is drawn twice.
             twice &= chance >= 1

@@ -191,6 +191,27 @@ class Regions:
         )
 
 
+def neighbourly(density: np.ndarray, regions: Regions, nodes: int) -> np.ndarray:
+    """(R,) half of each region's own error, half the mean over its nodes of those of all who share them.
+
+    An edge that crosses a region between its nodes is seen by its neighbours.
+    """
+    shared = regions.nodes.shape[1]
+    total, count = np.zeros(nodes), np.zeros(nodes)
+    step = max(1, (1 << 22) // shared)
+    for low in range(0, len(density), step):
+        part = slice(low, low + step)
+        slots = regions.nodes[part].ravel().astype(np.int64)
+        total += np.bincount(slots, np.repeat(density[part], shared), nodes)
+        count += np.bincount(slots, minlength=nodes)
+    total /= np.maximum(count, 1)
+    out = np.empty(len(density))
+    for low in range(0, len(density), step):
+        part = slice(low, low + step)
+        out[part] = total.take(regions.nodes[part]).mean(axis=1)
+    return 0.5 * (density + out)
+
+
 def root_edges(bins: int, log_edge: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts and log2 sizes, in bins, of dyadic intervals that tile ``bins`` bins, none above 2^log_edge."""
     whole, remainder = bins >> log_edge, bins & ((1 << log_edge) - 1)
@@ -321,7 +342,10 @@ class RegionTree:
         """At most ``splits`` regions, ascending, and the dimension in which to halve each."""
         regions = self.leaves()
         large = regions.volume >= smallest_volume
-        error = np.where(large, regions.gain * regions.volume, 0)
+        # A region may be blind to an edge that its neighbours see.
+        gain = np.where(regions.longest < 0, 0, neighbourly(regions.gain, regions, self.store.count))
+        axis = np.where(regions.gain > 0.25 * gain, regions.axis, regions.longest)
+        error = np.where(large, gain * regions.volume, 0)
         worst = _largest(error, splits - int(splits * EXPLORE))
         # What no node has seen has no error: the largest regions are halved too, in their longest edge.
         # Of those equally large, and there are many, the worst.
@@ -330,7 +354,7 @@ class RegionTree:
         unseen[worst] = 0
         unseen = _largest(unseen, int(splits * EXPLORE) if worst.size else splits)
         chosen = np.concatenate([worst, unseen])
-        axis = np.concatenate([regions.axis[worst], regions.longest[unseen]])
+        axis = np.concatenate([axis[worst], regions.longest[unseen]])
         order = np.argsort(chosen)
         return chosen[order], axis[order]
 

@@ -49,6 +49,9 @@ BEND, COSINE = 0.02, 0.9
 CONTRAST = 0.05
 """Deviation to reckon with at an edge, as a part of the brightest radiance near it."""
 
+DEFENSIVE = 0.25
+"""Of the residual samples, spread evenly: more than for functions, since what the nodes do not see shows."""
+
 MOST_REGIONS = 400_000
 """Of a picture: about 2 kB each."""
 
@@ -154,7 +157,7 @@ class ControlVariatePicture:
         samples = self._left / (1 + twice.mean())
         # Every pixel gets one: depth and alpha are known from samples alone.
         error = np.maximum(self._error, self._silhouettes(map_))
-        due, _ = sample_counts(error.ravel(), samples, self._options.defensive, 1.0)
+        due, _ = sample_counts(error.ravel(), samples, DEFENSIVE, 1.0)
         due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._mean.mean(axis=0), 0))

@@ -658,7 +658,8 @@ def _honesty(method: str, name: str, samples: int, seeds: int) -> np.ndarray:
 @each_unbiased
 @pytest.mark.parametrize("name", ["disk2", "direct4"])
 def test_standard_errors_are_right_about(method, name):
-    ratio = _honesty(method, name, 16, 12)
+    # The 64 bins of disk2 have four witnesses, most of them of nothing: one seed tells little.
+    ratio = _honesty(method, name, 16, 80 if name == "disk2" else 12)
     # Of plain nets too few bins are sampled twice to know every block.
     assert ratio.min() > (0.5 if method == "sobol" else 0.7) and ratio.max() < 1.4, ratio
 

@@ -295,3 +295,8 @@ def test_lanes_that_need_no_rest_are_left_alone() -> None:
 def test_wrong_parameters_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Quadrature(**wrong)
+
+
+def test_too_many_dimensions_are_refused() -> None:
+    with pytest.raises(ValueError, match="8 dimensions"):
+        Quadrature().estimate(_problem(lambda u: u[0], 10, (4, 4)))

@@ -45,6 +45,7 @@ def integrate(
     method : "control_variates", "sobol", "monte_carlo", "quadrature", or an object of such a class.
     preset : of the control variates: "default", or "thesis_2020" for the method as first published.
     seed : the same one gives the same result, bit for bit, for any number of threads.
+    threads : workers, 0 for one a processor.
     dtype : of the points handed to f, float32 or float64.
     options : of the method named, such as ``cv_dims=3`` or ``residual=False``.
 

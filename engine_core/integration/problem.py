@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ class Pool:
     """Runs a function over items on threads; results come back in the items' order."""
 
     def __init__(self, threads: int) -> None:
-        self.threads = threads
+        """threads : 0 for one a processor."""
+        threads = threads or os.cpu_count() or 1
         self._executor = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:

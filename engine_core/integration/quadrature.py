@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 TRAPEZOID = np.array([1.0, 0.0, 1.0]) / 2
 
+MOST_DIMENSIONS = 5
+"""Dimensions that it integrates over: more take more points than any picture is worth."""
+
 _BATCH = 32768  # points evaluated at once: larger ones leave the cache
 _LIMIT = 1 << 21  # node values held of one set of boxes, beyond which its lanes are done in halves
 
@@ -240,6 +243,11 @@ class Quadrature:
         tenth of that; of an odd number of points nothing is known."""
         integrand, bins = problem.integrand, problem.bins
         rest = integrand.rest_dimensions
+        if rest > MOST_DIMENSIONS:
+            raise ValueError(
+                f"quadrature over {rest} dimensions takes 3^{rest} points a box; at most {MOST_DIMENSIONS} "
+                "beside those of bins: use another method"
+            )
         points = self.points or max(1, round(problem.samples / 16 if rest else problem.samples))
         screen = SobolPoints(range(len(bins)), problem.seed, 0)
         screen.prepare(points)

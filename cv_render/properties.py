@@ -53,8 +53,9 @@ class CVRenderSceneSettings(bpy.types.PropertyGroup):
 
     samples: IntProperty(
         name="Samples",
-        description="Camera rays for each pixel. Twice as many take twice as long and leave about half the "
-        "noise; powers of two serve the Sobol integrator best",
+        description="Camera rays for each pixel, on average. Twice as many take twice as long and leave "
+        "about half the noise. Control Variates is as clean with 4 to 16 as others with 64 and more; "
+        "Sobol is best with a power of two",
         default=DEFAULTS.samples,
         min=1,
         max=MAX_SAMPLES,

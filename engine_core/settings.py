@@ -36,7 +36,7 @@ class Settings:
     batch_size : samples traced together; a batch should fit the processor's cache.
     """
 
-    samples: int = 64
+    samples: int = 16
     light_samples: int = 0
     integrator: str = "control_variates"
     seed: int = 0

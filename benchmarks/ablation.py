@@ -228,7 +228,7 @@ def inner_rules(dimensions: int) -> Iterator[tuple[str, Any]]:
         yield f"Net({count})", Net(count)
     for order in (4, 8):
         if order**dimensions <= 64:
-            yield f"Gauss({order})", GaussTensor(order, dimensions)
+            yield f"Gauss({order})", GaussTensor(order)
 
 
 def coverings(integrand: Integrand) -> Iterator[tuple[str, str, Entrant]]:

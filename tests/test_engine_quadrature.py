@@ -11,14 +11,8 @@ import pytest
 
 from engine_core.integration.integrand import FunctionOnGrid, GridCells
 from engine_core.integration.problem import Pool, Problem
-from engine_core.integration.quadrature import (
-    Quadrature,
-    grid_nodes,
-    halves,
-    integrate_rest,
-    nested_rules,
-    new_nodes,
-)
+from engine_core.integration.quadrature import Quadrature, integrate_rest
+from engine_core.integration.rules import grid_nodes, halves, nested_rules, new_nodes
 
 Function = Callable[[np.ndarray], np.ndarray]
 

@@ -5,7 +5,7 @@ integrate(f, ndim=4, bins=(256, 256), samples=64).value
 """
 
 from .control_variates import ControlVariates
-from .inner_rules import GaussTensor, MonteCarloPoints, Net, SimpsonTensor
+from .inner_rules import GaussTensor, InnerRule, MonteCarloPoints, Net, Nodes, SimpsonTensor
 from .integrand import Staged
 from .integrate import integrate
 from .monte_carlo import MonteCarlo, Sobol
@@ -16,9 +16,11 @@ from .thesis_2020 import Thesis2020
 __all__ = [
     "ControlVariates",
     "GaussTensor",
+    "InnerRule",
     "MonteCarlo",
     "MonteCarloPoints",
     "Net",
+    "Nodes",
     "Quadrature",
     "Result",
     "SimpsonTensor",

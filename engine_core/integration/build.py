@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .inner_rules import InnerRule
+from .inner_rules import InnerRule, Nodes
 from .integrand import StagedIntegrand, values_at
 from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, face_weights, root_edges
+from .sobol import hash_combine
 
 LARGEST_ROOT = 6
 """log2 of the longest root edge in bins."""
@@ -27,7 +28,7 @@ EVERYWHERE = 0.6
 the variance, but they are left to the samples' allocation."""
 
 FEWEST_REGIONS = 64
-"""Below which nothing is given up, since nothing is known."""
+"""Below which nothing is given up before the budget is spent, since little is known."""
 
 BATCH = 16384
 """Evaluations at once, about: what fits the cache."""
@@ -62,7 +63,8 @@ class NodeEvaluator:
         self._seed = seed
         self._map = map_
         self._channels = slice(channels)
-        self.cost = inner.count if inner else 1
+        inside = integrand.rest_dimensions - (dimensions - len(bins))
+        self.cost = inner.cost(inside) if inner else 1
         self.evaluations = 0
 
     def __call__(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -102,7 +104,9 @@ class NodeEvaluator:
         if self._inner is None:
             values = values_at(self._integrand, stage, points, lane, rest)
             return values[self._channels], None, place.shape[1]
-        values, spread, cost = self._inner.integrate(self._integrand, stage, points, lanes, rest, self._seed)
+        keys = hash_combine(*(place & 0xFFFFFFFF), *(place >> 32))
+        nodes = Nodes(self._integrand, stage, points, lanes, rest, keys, self._seed)
+        values, spread, cost = self._inner.integrate(nodes)
         return values[self._channels], spread, cost
 
 
@@ -141,7 +145,7 @@ def grow(
         while checks and evaluator.evaluations > checks[0][0] * budget and len(tree) >= FEWEST_REGIONS:
             if _hopeless(tree, checks.pop(0)[1]):
                 return False
-    return not _hopeless(tree, HOPELESS[0][1])
+    return not checks or not _hopeless(tree, checks[0][1])
 
 
 def _hopeless(tree: RegionTree, limit: float) -> bool:
@@ -159,14 +163,15 @@ def unexplained(tree: RegionTree) -> tuple[float, float]:
     step = max(1, (1 << 20) // len(weights))
     for low in range(0, len(regions), step):
         part = slice(low, low + step)
+        # Deviations of the channels are summed, as in the nested error: grey is no worse than one channel.
         own = np.zeros(len(regions.volume[part]))
         for c, channel in enumerate(values):
             v = channel.take(regions.nodes[part]).astype(np.float64)
             first, second = v @ weights, (v * v) @ weights
             mean[c] += regions.volume[part] @ first
             square[c] += regions.volume[part] @ second
-            own += np.maximum(second - first * first, 0)
-        where += regions.volume[part] @ (regions.density[part] ** 2 > 0.2 * own)
-    variance = float(np.maximum(square - mean * mean, 0).sum())
+            own += np.sqrt(np.maximum(second - first * first, 0))
+        where += regions.volume[part] @ (regions.density[part] ** 2 > 0.2 * own * own)
+    deviation = float(np.sqrt(np.maximum(square - mean * mean, 0)).sum())
     left = float(regions.volume @ regions.density**2)
-    return (left / variance if variance > 0 else 0.0), float(where)
+    return (left / deviation**2 if deviation > 0 else 0.0), float(where)

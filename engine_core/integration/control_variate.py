@@ -91,13 +91,17 @@ class TileOfRegions:
         h, error = np.zeros((len(self._values), total)), np.zeros(total)
         weights = face_weights(self._dimensions - self._bins)
         density = self.density(spread)
-        moments = np.zeros((3, total))
-        mean, square = self._moments()
+        left, deviation = np.zeros(total), np.zeros(total)
+        moments = self._moments()
+        in_bins = np.zeros((len(moments), 2, total))
         for chosen, logs, slots in self._groups():
             flat, times = slots.ravel(), slots.shape[1]
             share = self.overlap[chosen]
             error += np.bincount(flat, np.repeat(share * density[chosen], times), total)
-            for out, of in zip(moments, (self.regions.density**2, mean, square), strict=True):
+            left += np.bincount(flat, np.repeat(share * self.regions.density[chosen] ** 2, times), total)
+            for out, of in zip(
+                in_bins.reshape(-1, total), moments.reshape(-1, len(self.regions)), strict=True
+            ):
                 out += np.bincount(flat, np.repeat(share * of[chosen], times), total)
             for out, values in zip(h, self._values, strict=True):
                 v = values.take(self.regions.nodes[chosen]).reshape(len(chosen), -1, self._face) @ weights
@@ -105,16 +109,17 @@ class TileOfRegions:
                 for log in logs:
                     v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
                 out += np.bincount(flat, v.ravel(), total)
-        left, mean, square = moments
-        variance = square - mean * mean
-        unexplained = np.divide(left, variance, out=np.zeros(total), where=variance > 1e-12 * square)
-        return h, error, unexplained
+        for mean, square in in_bins:
+            variance = square - mean * mean
+            deviation += np.sqrt(np.where(variance > 1e-12 * square, variance, 0))
+        known = deviation > 0
+        return h, error, np.divide(left, deviation**2, out=np.zeros(total), where=known)
 
-    def _moments(self) -> tuple[np.ndarray, np.ndarray]:
-        """(R,) mean of the nodes' values, channels summed, and mean of its square."""
+    def _moments(self) -> np.ndarray:
+        """(C, 2, R) means of the nodes' values, and of their squares."""
         weights = face_weights(self._dimensions)
-        values = sum(v.take(self.regions.nodes) for v in self._values).astype(np.float64, copy=False)
-        return values @ weights, np.square(values) @ weights
+        rows = (v.take(self.regions.nodes).astype(np.float64, copy=False) for v in self._values)
+        return np.stack([(v @ weights, np.square(v) @ weights) for v in rows])
 
     def density(self, spread: np.ndarray | None) -> np.ndarray:
         """(R,) the predicted deviation of a sample of f - h."""

@@ -29,6 +29,10 @@ def lagrange(t: np.ndarray) -> np.ndarray:
     return out
 
 
+TRAPEZOID = np.array([1.0, 0.0, 1.0]) / 2.0
+"""The trapezoid rule's weights of the same nodes."""
+
+
 @lru_cache(64)
 def bin_means(count: int) -> np.ndarray:
     """(count, 3) exact means of the three `lagrange` quadratics over equal bins of [0, 1]."""
@@ -45,3 +49,40 @@ def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Points and weights (count,) of the Gauss-Legendre rule on [0, 1]; exact to degree 2 count - 1."""
     x, w = np.polynomial.legendre.leggauss(count)
     return (x + 1) / 2, w / 2
+
+
+def nested_rules(dimensions: int) -> np.ndarray:
+    """(1 + D, 3^D) weights: Simpson's rule in all dimensions, then with the trapezoidal one in each."""
+    rules = []
+    for trapezoid in range(-1, dimensions):
+        weights = np.ones(1)
+        for d in range(dimensions):
+            weights = np.multiply.outer(weights, TRAPEZOID if d == trapezoid else SIMPSON).ravel()
+        rules.append(weights)
+    return np.stack(rules)
+
+
+def tensor_points(coordinates: list[np.ndarray]) -> np.ndarray:
+    """(D, product of the sizes) points of a tensor grid in [0, 1]^D, the last dimension fastest."""
+    return np.stack(np.meshgrid(*coordinates, indexing="ij")).reshape(len(coordinates), -1)
+
+
+def grid_nodes(dimensions: int) -> np.ndarray:
+    """(D, 3^D) nodes of the rule in the unit cube."""
+    return tensor_points([np.array([0, 0.5, 1])] * dimensions)
+
+
+def new_nodes(dimensions: int, split: int) -> np.ndarray:
+    """(D, 2 * 3^(D-1)) nodes that halving in dimension ``split`` adds, in the parent's coordinates."""
+    coordinates = [np.array([0, 0.5, 1])] * dimensions
+    coordinates[split] = np.array([0.25, 0.75])
+    return tensor_points(coordinates)
+
+
+def halves(nodes: np.ndarray, new: np.ndarray, dimensions: int, split: int) -> tuple[np.ndarray, np.ndarray]:
+    """Node values of both children, each (..., 3^D, N), from the parent's and from the ``new_nodes``'."""
+    apart = (*nodes.shape[:-2], 3**split, -1, 3 ** (dimensions - 1 - split), nodes.shape[-1])
+    p, n = nodes.reshape(apart), new.reshape(apart)
+    low = np.concatenate([p[..., :1, :, :], n[..., :1, :, :], p[..., 1:2, :, :]], axis=-3)
+    high = np.concatenate([p[..., 1:2, :, :], n[..., 1:, :, :], p[..., 2:, :, :]], axis=-3)
+    return low.reshape(nodes.shape), high.reshape(nodes.shape)

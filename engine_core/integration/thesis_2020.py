@@ -18,9 +18,8 @@ import numpy as np
 
 from .integrand import GridCells, StagedIntegrand, values_at
 from .point_sets import RandomPoints
-from .quadrature import grid_nodes, halves, nested_rules, new_nodes
 from .result import Result
-from .rules import SIMPSON, lagrange
+from .rules import SIMPSON, grid_nodes, halves, lagrange, nested_rules, new_nodes
 
 if TYPE_CHECKING:
     from .problem import Problem

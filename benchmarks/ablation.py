@@ -18,7 +18,16 @@ from unittest import mock
 
 import numpy as np
 
-from engine_core.integration import GaussTensor, Net, allocation, build, control_variate, regions, residual
+from engine_core.integration import (
+    GaussTensor,
+    Net,
+    allocation,
+    build,
+    control_variate,
+    regions,
+    residual,
+    rules,
+)
 from engine_core.integration import control_variates as whole
 
 from .integrands import INTEGRANDS, Integrand, reference
@@ -70,7 +79,7 @@ def nested_errors_signed(values: np.ndarray, nodes: np.ndarray, m: int) -> np.nd
         v = channel.take(nodes).reshape(-1, *(3,) * m)
         for d in range(m):
             line = np.moveaxis(v, 1 + d, 1).reshape(len(nodes), 3, -1)
-            out[d] += np.abs((2 * line[:, 1] - line[:, 0] - line[:, 2]) @ regions.face_weights(m - 1))
+            out[d] += np.abs((2 * line[:, 1] - line[:, 0] - line[:, 2]) @ rules.face_weights(m - 1))
     return out / 3
 
 
@@ -78,7 +87,7 @@ def judge_relatively(judge: Callable, tree: regions.RegionTree, part: slice | np
     """Halve by the error relative to the region's own mean; samples still go by the absolute one."""
     judge(tree, part)
     index = np.arange(len(tree))[part]
-    weights = regions.face_weights(tree.dimensions)
+    weights = rules.face_weights(tree.dimensions)
     mean = sum(np.abs(v).take(tree.regions.nodes[index]) @ weights for v in tree.store.values)
     tree.regions.gain[index] /= np.maximum(mean, 1e-300)
 

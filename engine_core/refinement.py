@@ -15,7 +15,7 @@ from .image.film import FAR, LARGEST, Film
 from .integration.allocation import sample_counts, spread_over_neighbours
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
-from .integration.control_variates import TWICE_ONE_IN, ControlVariates
+from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
 from .integration.inner_rules import Net
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
@@ -136,6 +136,7 @@ class ControlVariatePicture:
         self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
         self._mean = np.zeros((CHANNELS, *self._bins))
         self._error = np.zeros(self._bins)
+        self._plain = np.zeros(self._bins, bool)
         map_(self._integrate, range(len(self._variate)))
         self._write(slice(None), slice(None), self._mean)
         self._film.control_variate[:] = np.clip(self._mean, -LARGEST, LARGEST).transpose(2, 1, 0)
@@ -148,8 +149,9 @@ class ControlVariatePicture:
     def _integrate(self, number: int) -> None:
         self._check()
         tile = self._variate.tile(number)
-        mean, error, _ = tile.means(self._variate.spread)
-        self._mean[(slice(None), *tile.index)], self._error[tuple(tile.index)] = mean, error
+        where = tuple(tile.index)
+        mean, self._error[where], unexplained = tile.means(self._variate.spread)
+        self._mean[(slice(None), *where)], self._plain[where] = mean, unexplained > BEYOND_HOPE
 
     def _allocate(self, map_: Map) -> None:
         settings, bins = self._settings, self._bins
@@ -157,6 +159,8 @@ class ControlVariatePicture:
         samples = self._left / (1 + twice.mean())
         # Every pixel gets one: depth and alpha are known from samples alone.
         error = np.maximum(self._error, self._silhouettes(map_))
+        # H stays on show until their samples are there.
+        self._mean[:, self._plain] = 0
         due, _ = sample_counts(error.ravel(), samples, DEFENSIVE, 1.0)
         due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
@@ -267,6 +271,7 @@ class ControlVariatePicture:
             twice,
             after_batch,
             later=pass_ > 0,
+            plain=self._plain[where],
         )
         film, at = self._film, where[0] * self._bins[1] + where[1]
         seen /= np.maximum(new * (1 + twice), 1)
@@ -277,7 +282,7 @@ class ControlVariatePicture:
             # Those that got new samples got as many as they had.
             more = new > 0
             old = self._residual[:, at]
-            self._spread.double(at[more], old[:, more], mean[:, more], _part(spread, more))
+            self._spread.double(at[more], old[:, more], mean[:, more], spread.of(more))
             mean = np.where(more, (old + mean) / 2, old)
             before = film.combined[where[1], where[0], ALPHA]
             seen[0] = np.where(more, (before + seen[0]) / 2, before)
@@ -288,6 +293,9 @@ class ControlVariatePicture:
                 )
         self._residual[:, at] = mean
         self._write(*where, self._mean[(slice(None), *where)] + mean)
+        film.control_variate[where[1], where[0]] = np.clip(
+            self._mean[(slice(None), *where)], -LARGEST, LARGEST
+        ).T
         film.residual[where[1], where[0]] = np.clip(mean, -LARGEST, LARGEST).T
         film.sample_count[where[1], where[0]] = count * (1 + twice)
         film.combined[where[1], where[0], ALPHA] = seen[0]
@@ -324,10 +332,6 @@ class ControlVariatePicture:
         error = standard_error(self._spread, count.ravel(), self._bins, self._error.ravel())
         error = error.reshape(-1, *self._bins)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
-
-
-def _part(spread: Spread, which: np.ndarray) -> Spread:
-    return Spread(spread.half[:, which], spread.twice[:, which])
 
 
 def serves(integrand: DirectLight) -> bool:

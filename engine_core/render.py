@@ -21,7 +21,7 @@ from .integration.point_sets import staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
-from .refinement import FEWEST_SAMPLES, ControlVariatePicture, serves
+from .refinement import FEWEST_SAMPLES, MOST_LIGHTS, ControlVariatePicture, serves
 from .scene import Camera, Scene
 from .settings import Settings
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
@@ -151,7 +151,7 @@ class _Render:
         self._stop = Event()
         self._done = self._pass_work = 0
         self._counts = {"camera rays": 0, "shadow rays": 0, "non-finite samples": 0}
-        self._stages: dict[str, float] = {}
+        self._stages: dict[str, Any] = {}
         width, height = scene.camera.region_size
         self._spread = Spread.empty(3, width * height) if settings.standard_error else None
         self._built = time.perf_counter()
@@ -181,7 +181,15 @@ class _Render:
         alone = settings.integrator == "cv_only"
         if settings.integrator != "control_variates" and not alone:
             return None
-        if not serves(self._integrand) or (settings.samples < FEWEST_SAMPLES and not alone):
+        served = serves(self._integrand)
+        if alone and not served:
+            self._film.messages.append(
+                f"CV Only serves up to {MOST_LIGHTS} lights, none of them a mesh: "
+                "this scene is sampled as by Sobol"
+            )
+        if not served:
+            self._stages["control variate"] = "skipped: too many lights, or mesh lights"
+        if not served or (settings.samples < FEWEST_SAMPLES and not alone):
             return None
         begin = time.perf_counter()
         picture = ControlVariatePicture(

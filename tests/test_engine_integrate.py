@@ -731,3 +731,35 @@ def test_noise_in_a_part_of_the_picture_is_left_to_sampling():
     result = integrate(f, 3, (64, 64), 32)
     plain = result.control_variate[0] == 0
     assert plain[:32].mean() > 0.5 and plain[32:].mean() < 0.05
+
+
+def test_equal_channels_are_judged_like_one():
+    integrand = INTEGRANDS["grid4"]  # near the limit where polynomials are given up
+    one = integrate(integrand.f, 4, (16, 16), 64, seed=3)
+    three = integrate(lambda u: np.stack([integrand.f(u)] * 3), 4, (16, 16), 64, seed=3)
+    assert three.regions == one.regions and np.array_equal(three.sample_count, one.sample_count)
+    assert np.allclose(three.value, one.value, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cv_dims", [2, 4])
+def test_one_first_stage_serves_several_points_of_the_residual(cv_dims):
+    integrand = INTEGRANDS["direct4"]
+    truth = reference(integrand, (16, 16)).value
+    calls = {"first": 0, "rest": 0}
+
+    def first(u: np.ndarray) -> np.ndarray:
+        calls["first"] += u.shape[1]
+        return u
+
+    def rest(state: np.ndarray, lane: np.ndarray, u: np.ndarray) -> np.ndarray:
+        calls["rest"] += u.shape[1]
+        return integrand.f(np.concatenate([state[:, lane], u]))
+
+    values = np.stack(
+        [
+            integrate(Staged(first, rest), 4, (16, 16), 32, seed=seed, cv_dims=cv_dims, split=4).value
+            for seed in range(40)
+        ]
+    )
+    _assert_unbiased(values, truth)
+    assert calls["first"] < 0.3 * calls["rest"] < 0.3 * 1.05 * 40 * 32 * 256

@@ -62,6 +62,28 @@ def test_transparent_film_has_no_background(scene: Any, tmp_path: Path) -> None:
     assert not sky.any() and picture[0, :, 3].all()
 
 
+def test_passes_of_the_integrator_add_up(scene: Any, tmp_path: Path) -> None:
+    import bpy
+    import OpenEXR
+
+    chosen = bpy.context.view_layer.cv_render
+    for name in ("control_variate", "residual", "sample_count", "standard_error"):
+        setattr(chosen, f"use_pass_{name}", True)
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(tmp_path / "passes.exr")
+    bpy.ops.render.render(write_still=True)
+    file = OpenEXR.File(scene.render.filepath, separate_channels=True)
+    found = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+    for c in "RGB":
+        parts = found[f"ViewLayer.CV.{c}"] + found[f"ViewLayer.Residual.{c}"]
+        assert np.allclose(found[f"ViewLayer.Combined.{c}"], np.maximum(parts, 0), atol=1e-5)
+        assert (found[f"ViewLayer.Standard Error.{c}"] >= 0).all() and found[f"ViewLayer.CV.{c}"].any()
+    assert found["ViewLayer.Sample Count.X"].min() >= 1
+
+
 def test_passes_have_the_names_and_values_of_cycles(scene: Any, tmp_path: Path) -> None:
     import bpy
     import OpenEXR

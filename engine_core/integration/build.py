@@ -10,7 +10,8 @@ import numpy as np
 
 from .inner_rules import InnerRule, Nodes
 from .integrand import StagedIntegrand, values_at
-from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, face_weights, root_edges
+from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, root_edges
+from .rules import face_weights
 from .sobol import hash_combine
 
 LARGEST_ROOT = 6

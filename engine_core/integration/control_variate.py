@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .regions import BIN, WHOLE, Regions, RegionTree, face_weights, neighbourly
-from .rules import bin_means, lagrange
+from .regions import BIN, WHOLE, Regions, RegionTree, neighbourly
+from .rules import bin_means, face_weights, lagrange
 
 _LOG_BINS = 14
 """log2 of a tile's bins, about: enough for full batches of samples, few enough for the cache."""
@@ -92,8 +92,8 @@ class TileOfRegions:
         weights = face_weights(self._dimensions - self._bins)
         density = self.density(spread)
         left, deviation = np.zeros(total), np.zeros(total)
-        moments = self._moments()
-        in_bins = np.zeros((len(moments), 2, total))
+        moments = self._moments().reshape(-1, len(self.regions))
+        in_bins = np.zeros((len(moments), total))
         for chosen, logs, slots in self._groups():
             flat, times = slots.ravel(), slots.shape[1]
             share = self.overlap[chosen]
@@ -109,7 +109,7 @@ class TileOfRegions:
                 for log in logs:
                     v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
                 out += np.bincount(flat, v.ravel(), total)
-        for mean, square in in_bins:
+        for mean, square in in_bins.reshape(-1, 2, total):
             variance = square - mean * mean
             deviation += np.sqrt(np.where(variance > 1e-12 * square, variance, 0))
         known = deviation > 0

@@ -51,6 +51,8 @@ class ControlVariates:
     share : of the samples, spent on the polynomials.
     defensive : of the residual samples, spread evenly over the bins.
     chance : the smallest probability to sample a bin at all, where less than one sample is due.
+    split : points of the rest for each point of the first stage in the residual, a power of two: for an
+        expensive first stage. Regions are no shorter than a bin then.
     rough : (*bins) bool, bins that no polynomial is known to serve: no node lies inside, f itself is
         sampled there, as often as a pilot of 8 points, thrown away, says.
     max_regions, max_overlaps : limits of memory. A region takes 4 * 3^m + 17 m + 26 bytes, and each node
@@ -64,6 +66,7 @@ class ControlVariates:
     share: float = 1 / 3
     defensive: float = 0.1
     chance: float = 1 / 16
+    split: int = 1
     rough: np.ndarray | None = None
     max_regions: int = 1_000_000
     max_overlaps: int = 4_000_000
@@ -73,6 +76,8 @@ class ControlVariates:
         covered = self.cv_dims or max(len(bins), min(ndim, MOST_DIMENSIONS))
         if not len(bins) <= covered <= ndim:
             raise ValueError(f"cv_dims is {self.cv_dims}, wanted {len(bins)} to {ndim}")
+        if self.split < 1 or self.split & (self.split - 1):
+            raise ValueError(f"split is {self.split}, wanted a power of two")
         if self.rough is not None and np.shape(self.rough) != bins:
             raise ValueError(f"rough has shape {np.shape(self.rough)}, wanted that of bins, {bins}")
         inner = None if covered == ndim else self.inner or Net(16)
@@ -86,7 +91,7 @@ class ControlVariates:
         rough = None if self.rough is None else np.asarray(self.rough, bool)
         helps = log_edge is not None and not (rough is not None and rough.all())
         if helps:
-            tree = RegionTree(bins, covered, log_edge, evaluator, without=rough)
+            tree = RegionTree(bins, covered, log_edge, evaluator, self.split == 1, rough)
             helps = grow(tree, evaluator, budget, total, self.max_regions) or not self.residual
         if not helps:
             if not self.residual:
@@ -126,7 +131,7 @@ class ControlVariates:
             twice = sampled_twice(error.size, TWICE_ONE_IN, problem.seed)
             due, chance = sample_counts(
                 spread_over_neighbours(error, NEIGHBOUR).ravel(),
-                samples / (1 + twice.mean()),
+                samples / (self.split * (1 + twice.mean())),
                 self.defensive,
                 self.chance,
             )
@@ -136,11 +141,12 @@ class ControlVariates:
                 a.reshape(bins) for a in (due * _drawn(chance, problem.seed), chance, twice)
             )
             points = staged_points(
-                "sobol", len(bins), problem.ndim - len(bins), 1, problem.seed + 1, np.float64
+                "sobol", len(bins), problem.ndim - len(bins), self.split, problem.seed + 1, np.float64
             )
-            for group in points:
-                group.prepare(int(due.max()) if due.max() > 0 else 1)
-            sampler = ResidualSampler(points, covered)
+            longest = max(int(due.max()), 1)
+            points[0].prepare(longest)
+            points[1].prepare(longest * self.split)
+            sampler = ResidualSampler(points, covered, self.split)
             numbers = np.arange(error.size).reshape(bins)
 
             def sample(number: int) -> None:

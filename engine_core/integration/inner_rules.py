@@ -14,7 +14,7 @@ import numpy as np
 
 from .integrand import FirstStage, StagedIntegrand, values_at
 from .point_sets import RandomPoints, SobolPoints
-from .rules import SIMPSON, gauss
+from .rules import SIMPSON, gauss, tensor_points, tensor_weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +134,4 @@ class SimpsonTensor(FixedPoints):
 
 
 def _tensor(x: np.ndarray, w: np.ndarray, dimensions: int) -> tuple[np.ndarray, np.ndarray]:
-    u = np.stack(np.meshgrid(*[x] * dimensions, indexing="ij")).reshape(dimensions, 1, -1)
-    weights = np.ones(1)
-    for _ in range(dimensions):
-        weights = np.multiply.outer(weights, w).ravel()
-    return u, weights
+    return tensor_points([x] * dimensions)[:, None], tensor_weights([w] * dimensions)

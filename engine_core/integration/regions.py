@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .rules import SIMPSON
+from .rules import face_weights
 
 BIN = 20
 """log2 of how many lattice units a bin is long."""
@@ -473,11 +473,3 @@ def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:
             low, middle, high = np.moveaxis(v.reshape(3**d, 3, -1, nodes.shape[1]), 1, 0)
             out[d] += weights @ np.abs(2 * middle - low - high).reshape(len(weights), -1)
     return out / 3
-
-
-def face_weights(dimensions: int) -> np.ndarray:
-    """(3^dimensions,) Simpson's weights of a tensor grid."""
-    weights = np.ones(1)
-    for _ in range(dimensions):
-        weights = np.multiply.outer(weights, SIMPSON).ravel()
-    return weights

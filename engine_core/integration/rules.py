@@ -51,15 +51,26 @@ def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     return (x + 1) / 2, w / 2
 
 
+def tensor_weights(rules: list[np.ndarray]) -> np.ndarray:
+    """(product of the sizes,) weights of a tensor grid, the last dimension fastest, from those along each."""
+    weights = np.ones(1)
+    for rule in rules:
+        weights = np.multiply.outer(weights, rule).ravel()
+    return weights
+
+
+def face_weights(dimensions: int) -> np.ndarray:
+    """(3^dimensions,) Simpson's weights of a tensor grid."""
+    return tensor_weights([SIMPSON] * dimensions)
+
+
 def nested_rules(dimensions: int) -> np.ndarray:
     """(1 + D, 3^D) weights: Simpson's rule in all dimensions, then with the trapezoidal one in each."""
-    rules = []
-    for trapezoid in range(-1, dimensions):
-        weights = np.ones(1)
-        for d in range(dimensions):
-            weights = np.multiply.outer(weights, TRAPEZOID if d == trapezoid else SIMPSON).ravel()
-        rules.append(weights)
-    return np.stack(rules)
+    rules = [
+        [TRAPEZOID if d == trapezoid else SIMPSON for d in range(dimensions)]
+        for trapezoid in range(-1, dimensions)
+    ]
+    return np.stack([tensor_weights(rule) for rule in rules])
 
 
 def tensor_points(coordinates: list[np.ndarray]) -> np.ndarray:

@@ -54,6 +54,10 @@ class Spread:
     def empty(cls, channels: int, bins: int) -> Spread:
         return cls(np.zeros((channels, bins)), np.full((channels, bins), np.nan))
 
+    def of(self, which: np.ndarray) -> Spread:
+        """That of some bins, ``which`` (B,) bool or (B',)."""
+        return Spread(self.half[:, which], self.twice[:, which])
+
     def store(self, where: np.ndarray, other: Spread) -> None:
         """Take over another's bins, all of them, as ``where`` (B',)."""
         self.half[:, where] = other.half

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from .image.film import FAR, LARGEST, Film
-from .integration.allocation import sample_counts, spread_over_neighbours
+from .integration.allocation import sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
@@ -212,10 +212,7 @@ class ControlVariatePicture:
             found |= (nearness[low] > 0) & (nearness[high] > 0) & (cosine < COSINE)
             for side in (low, middle, high):
                 edge[side] |= found
-        brightness = np.abs(self._mean).sum(axis=0)
-        for _ in range(2):
-            brightness = spread_over_neighbours(brightness, 1.0)
-        return np.where(edge, CONTRAST * brightness, 0)
+        return np.where(edge, CONTRAST * _brightest_near(np.abs(self._mean).sum(axis=0), 2), 0)
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""
@@ -332,6 +329,15 @@ class ControlVariatePicture:
         error = standard_error(self._spread, count.ravel(), self._bins, self._error.ravel())
         error = error.reshape(-1, *self._bins)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
+
+
+def _brightest_near(values: np.ndarray, reach: int) -> np.ndarray:
+    """(W, H) the largest value within ``reach`` pixels along each axis."""
+    for axis in (0, 1):
+        padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], "edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis)
+        values = windows.max(axis=-1)
+    return values
 
 
 def serves(integrand: DirectLight) -> bool:

@@ -9,27 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-NEIGHBOUR = 0.1
-"""Of the largest error among a bin's neighbours, what it is believed to have itself."""
-
 _OCTAVE = 64
 """Steps an octave in which the scale of a budget is sought."""
 
 _GOLDEN = 0.6180339887498949
-
-
-def spread_over_neighbours(error: np.ndarray, part: float) -> np.ndarray:
-    """(*bins) errors or, where larger, a part of the largest among neighbouring bins.
-
-    A region may be blind to what its neighbours see: where an edge ends between two nodes, a bin or two
-    beyond those that know of it.
-    """
-    widest = error
-    for axis in range(error.ndim):
-        low = np.concatenate([widest.take([0], axis), np.delete(widest, -1, axis)], axis)
-        high = np.concatenate([np.delete(widest, 0, axis), widest.take([-1], axis)], axis)
-        widest = np.maximum(widest, np.maximum(low, high))
-    return np.maximum(error, part * widest)
 
 
 def sample_counts(

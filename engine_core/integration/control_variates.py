@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from .allocation import NEIGHBOUR, sample_counts, spread_over_neighbours
+from .allocation import sample_counts
 from .build import NodeEvaluator, grow, root_edge
 from .control_variate import ControlVariate
 from .inner_rules import InnerRule, Net
@@ -130,7 +130,7 @@ class ControlVariates:
         if self.residual:
             twice = sampled_twice(error.size, TWICE_ONE_IN, problem.seed)
             due, chance = sample_counts(
-                spread_over_neighbours(error, NEIGHBOUR).ravel(),
+                error.ravel(),
                 samples / (self.split * (1 + twice.mean())),
                 self.defensive,
                 self.chance,

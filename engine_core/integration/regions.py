@@ -342,10 +342,7 @@ class RegionTree:
         """At most ``splits`` regions, ascending, and the dimension in which to halve each."""
         regions = self.leaves()
         large = regions.volume >= smallest_volume
-        # A region may be blind to an edge that its neighbours see.
-        gain = np.where(regions.longest < 0, 0, neighbourly(regions.gain, regions, self.store.count))
-        axis = np.where(regions.gain > 0.25 * gain, regions.axis, regions.longest)
-        error = np.where(large, gain * regions.volume, 0)
+        error = np.where(large, regions.gain * regions.volume, 0)
         worst = _largest(error, splits - int(splits * EXPLORE))
         # What no node has seen has no error: the largest regions are halved too, in their longest edge.
         # Of those equally large, and there are many, the worst.
@@ -354,7 +351,7 @@ class RegionTree:
         unseen[worst] = 0
         unseen = _largest(unseen, int(splits * EXPLORE) if worst.size else splits)
         chosen = np.concatenate([worst, unseen])
-        axis = np.concatenate([axis[worst], regions.longest[unseen]])
+        axis = np.concatenate([regions.axis[worst], regions.longest[unseen]])
         order = np.argsort(chosen)
         return chosen[order], axis[order]
 

@@ -196,7 +196,7 @@ class ControlVariatePicture:
             lane = slice(None) if hits.lane is None else hits.lane
             x, y = index[0][lane], index[1][lane]
             nearness[x, y] = 1 / hits.depth[lane]
-            normal[:, x, y] = hits.points.normal
+            normal[:, x, y] = hits.normal
 
         map_(look, range(len(self._variate)))
         edge = np.zeros(self._bins, bool)
@@ -341,5 +341,6 @@ def _brightest_near(values: np.ndarray, reach: int) -> np.ndarray:
 
 
 def serves(integrand: DirectLight) -> bool:
-    """Whether the integrand is one that polynomials follow: no choice among lights, nor triangles of one."""
-    return len(integrand.lights) <= MOST_LIGHTS and not integrand.any_mesh
+    """Whether polynomials follow the integrand: no choice among lights, nor triangles of one, no lens."""
+    in_focus = integrand.screen_dimensions == 2
+    return len(integrand.lights) <= MOST_LIGHTS and not integrand.any_mesh and in_focus

@@ -126,7 +126,13 @@ class _Render:
         self._sink = sink
         self._camera: Camera = scene.camera
         sink.progress(0.0, 0.0, None, "Building the scene")
-        self._integrand = DirectLight(scene, settings.transparent, settings.normals)
+        self._integrand = DirectLight(
+            scene,
+            settings.transparent,
+            settings.normals,
+            settings.direct_sampling,
+            settings.transparent_bounces,
+        )
         self._film = Film.empty(*scene.camera.region_size)
         self._film.messages += self._integrand.messages
         self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
@@ -188,7 +194,7 @@ class _Render:
                 "this scene is sampled as by Sobol"
             )
         if not served:
-            self._stages["control variate"] = "skipped: too many lights, or mesh lights"
+            self._stages["control variate"] = "skipped: too many lights, mesh lights, or depth of field"
         if not served or (settings.samples < FEWEST_SAMPLES and not alone):
             return None
         begin = time.perf_counter()

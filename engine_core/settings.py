@@ -9,6 +9,7 @@ from .errors import SceneError
 from .scene.validation import set_integer, set_number
 
 INTEGRATORS = ("control_variates", "sobol", "monte_carlo", "quadrature", "cv_only")
+DIRECT_SAMPLING = ("mis", "light", "bsdf")
 MAX_SAMPLES = 1 << 20
 
 
@@ -29,6 +30,9 @@ class Settings:
     min_samples : samples every pixel gets before the noise threshold may stop it.
     time_limit : seconds after which no further pass begins; 0 is none.
     threads : worker threads, 0 for one a processor.
+    direct_sampling : of surfaces that are not diffuse: "mis" (lights and BSDF sampled, combined by the
+        power heuristic; where a surface is rough the lights alone), "light" or "bsdf" (one of them alone).
+    transparent_bounces : how many transparent surfaces a ray may pass straight through.
     transparent : the background has alpha 0 and no radiance.
     normals : fill `Film.normal` too. standard_error : fill `Film.standard_error` too.
     tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
@@ -44,6 +48,8 @@ class Settings:
     min_samples: int = 16
     time_limit: float = 0.0
     threads: int = 0
+    direct_sampling: str = "mis"
+    transparent_bounces: int = 8
     transparent: bool = False
     normals: bool = False
     standard_error: bool = False
@@ -53,7 +59,12 @@ class Settings:
     def __post_init__(self) -> None:
         if self.integrator not in INTEGRATORS:
             raise SceneError(f"Settings: integrator is {self.integrator!r}, wanted one of {INTEGRATORS}")
+        if self.direct_sampling not in DIRECT_SAMPLING:
+            raise SceneError(
+                f"Settings: direct_sampling is {self.direct_sampling!r}, wanted one of {DIRECT_SAMPLING}"
+            )
         for field, low, high in (
+            ("transparent_bounces", 0, 1024),
             ("samples", 1, MAX_SAMPLES),
             ("light_samples", 0, 1024),
             ("seed", -(2**31), 2**32 - 1),

@@ -115,42 +115,34 @@ def _disk(name: str, centre: Any, radius: float) -> Case:
     return Case(name, _in_cone(_unit(axis), cos), _unit(axis), cos, (light,))
 
 
-def _solid_angle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Of a triangle, by A. van Oosterom and J. Strackee, 1983."""
-    a, b, c = (_unit(v - POINT) for v in (a, b, c))
-    return 2 * abs(np.arctan2(a @ np.cross(b, c), 1 + a @ b + b @ c + c @ a))
-
-
-def _area(
-    name: str, matrix: np.ndarray, size: tuple[float, float], ellipse: bool, by_angle: bool = False
-) -> Case:
-    """``by_angle``: uniform in solid angle, as large rectangles are sampled; else in area."""
+def _area(name: str, matrix: np.ndarray, size: tuple[float, float], ellipse: bool, **fields: Any) -> Case:
+    """The density is the light's own `pdf`, whose integral is tested, within the figure."""
     w, h = np.array(size) / 2
-    lengths = np.linalg.norm(matrix[:3, :2], axis=0) * size
-    area = lengths.prod() * (np.pi / 4 if ellipse else 1)
     if ellipse:
-        density = _in_plane(matrix, area, lambda x, y: (x / w) ** 2 + (y / h) ** 2 <= 1)
+        figure = _in_plane(matrix, 1.0, lambda x, y: (x / w) ** 2 + (y / h) ** 2 <= 1)
     else:
-        density = _in_plane(matrix, area, lambda x, y: (np.abs(x) <= w) & (np.abs(y) <= h))
+        figure = _in_plane(matrix, 1.0, lambda x, y: (np.abs(x) <= w) & (np.abs(y) <= h))
     corners = [(matrix @ (a * w, b * h, 0, 1))[:3] for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    if by_angle:
-        by_area, angle = density, _solid_angle(*corners[:3]) + _solid_angle(corners[0], *corners[2:])
-
-        def density(d: np.ndarray) -> np.ndarray:
-            return (by_area(d) > 0) / angle
-
     axis = _unit(matrix[:3, 3] - POINT)
     cos = min(_unit(corner - POINT) @ axis for corner in corners)
-    return Case(
-        name, density, axis, cos, (AreaLight(1.0, light_to_world=matrix, size=size, ellipse=ellipse),)
-    )
+    light = AreaLight(1.0, light_to_world=matrix, size=size, ellipse=ellipse, **fields)
+    normal = _unit(matrix[:3, 2])
+    (group,) = emitter_groups((light,), World(), (Material(),), gather_triangles((), FRAME)[0], FRAME)[0]
+
+    def density(d: np.ndarray) -> np.ndarray:
+        to_light = d * ((matrix[:3, 3] - POINT) @ normal / (normal @ d))
+        where = (np.tile(v.astype(np.float32)[:, None], d.shape[1]) for v in (POINT, NORMAL))
+        pdf = group.pdf(None, *where, to_light.astype(np.float32)).astype(float)
+        return np.where(figure(d) > 0, pdf, 0)
+
+    return Case(name, density, axis, cos, (light,))
 
 
-def _half_disk(name: str, count: int) -> Case:
-    """Emissive triangles of unlike size, a fan that fills half a polygon."""
+def _half_disk(name: str, count: int, centre: Any = (0.5, -0.4, 2.0)) -> Case:
+    """Emissive triangles of unlike size, a fan that fills half a polygon; the density is their own."""
     angle = np.concatenate([[0], np.cumsum(np.arange(1, count + 1))]) * np.pi / np.arange(1, count + 1).sum()
     rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    matrix = place((0.5, -0.4, 2.0), (0.4, 0.3, 0.2))
+    matrix = place(centre, (0.4, 0.3, 0.2))
     local = np.zeros((count + 2, 3))
     local[1:, :2] = rim
     index = np.arange(1, count + 1)
@@ -165,7 +157,18 @@ def _half_disk(name: str, count: int) -> Case:
         ]
         return (y >= 0) & ~np.any(beyond, axis=0)
 
-    density = _in_plane(matrix, 0.5 * np.sin(np.diff(angle)).sum(), inside)
+    figure = _in_plane(matrix, 1.0, inside)
+    triangles, _ = gather_triangles((mesh,), FRAME)
+    (group,), _ = emitter_groups((), World(), (Material(0.0, 1.0),), triangles, FRAME)
+
+    def density(d: np.ndarray) -> np.ndarray:
+        to_light = d * ((matrix[:3, 3] - POINT) @ matrix[:3, 2] / (matrix[:3, 2] @ d))
+        x, y, _ = matrix[:3, :3].T @ (to_light + POINT[:, None] - matrix[:3, 3:])
+        wedge = np.clip(np.searchsorted(angle, np.arctan2(y, x)) - 1, 0, count - 1)
+        where = (np.tile(v.astype(np.float32)[:, None], d.shape[1]) for v in (POINT, NORMAL))
+        pdf = group.pdf_of_triangle(wedge, *where, to_light.astype(np.float32)).astype(float)
+        return np.where(figure(d) > 0, pdf, 0)
+
     axis = _unit(mesh.vertices.mean(axis=0) - POINT)
     cos = min(_unit(v - POINT) @ axis for v in mesh.vertices.astype(float))
     return Case(name, density, axis, cos - 1e-3, meshes=(mesh,))
@@ -179,6 +182,7 @@ def _sun(name: str, angle: float) -> Case:
 
 TILTED = place((0.9, -0.6, 1.4), (0.5, -0.7, 0.3))
 NEAR = place(POINT + (0.0, 0.1, 0.3), (0.1, 0.1, 0.0))
+LOW = place(POINT + (0.9, -0.3, -0.2), (np.pi / 2, 0.3, 1.3))
 WALL = place(POINT + (0.5, 0.3, 1.0), (0.0, 0.6, 0.0))
 
 CASES = [
@@ -190,12 +194,15 @@ CASES = [
     _disk("facing disk", (0.9, 0.5, 1.5), 0.5),
     _disk("large facing disk", (0.9, 0.5, 1.5), 3.0),
     _area("small rectangle", TILTED, (0.5, 0.8), ellipse=False),
-    _area("rectangle", TILTED, (1.0, 1.0), ellipse=False, by_angle=True),
-    _area("near rectangle", NEAR, (2.0, 0.5), ellipse=False, by_angle=True),
-    _area("wall", WALL, (40.0, 3.0), ellipse=False, by_angle=True),
+    _area("rectangle", TILTED, (1.0, 1.0), ellipse=False),
+    _area("near rectangle", NEAR, (2.0, 0.5), ellipse=False),
+    _area("wall", WALL, (40.0, 3.0), ellipse=False),
     _area("near ellipse", NEAR, (1.0, 0.5), ellipse=True),
     _area("scaled ellipse", TILTED @ np.diag([1.5, 0.5, 1, 1]), (0.8, 1.2), ellipse=True),
+    _area("slanted ellipse", WALL, (6.0, 2.0), ellipse=True),
+    _area("rectangle across the horizon", LOW, (1.5, 2.5), ellipse=False),
     _half_disk("mesh", 7),
+    _half_disk("near mesh", 5, POINT + (-0.1, -0.2, 0.4)),
     _sun("sun", 0.1),
     _sun("tiny sun", 1e-3),
     _sun("huge sun", 3.0),

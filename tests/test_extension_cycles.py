@@ -89,7 +89,28 @@ def mirrored(scene: Any) -> None:
     scene.camera.scale = (-1, 1, 1)
 
 
+def with_lens(**fields: Any) -> Callable[[Any], None]:
+    """Depth of field: a strong one, in focus somewhere on the board."""
+
+    def change(scene: Any) -> None:
+        dof = scene.camera.data.dof
+        dof.use_dof, dof.aperture_fstop, dof.focus_distance = True, 0.05, 6.5
+        for name, value in fields.items():
+            setattr(dof, name, value)
+
+    return change
+
+
+def focused_on_object(scene: Any) -> None:
+    with_lens(focus_object=add(scene, "Focus", None, (0.5, 1, 0)))(scene)
+
+
+ORTHO = {"type": "ORTHO", "ortho_scale": 5}
 CAMERAS = {
+    "lens": ((80, 60), {}, with_lens()),
+    "blades": ((80, 60), {}, with_lens(aperture_blades=5, aperture_rotation=0.3, aperture_ratio=2)),
+    "orthographic lens": ((80, 60), ORTHO, with_lens(aperture_blades=3, aperture_fstop=1.3)),
+    "focus object": ((80, 60), {}, focused_on_object),
     "landscape": ((80, 60), {}, None),
     "portrait with shift": ((60, 80), {"shift_x": 0.13, "shift_y": -0.07}, None),
     "shift": ((80, 60), {"shift_x": 0.13, "shift_y": -0.07}, None),

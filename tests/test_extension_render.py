@@ -254,13 +254,13 @@ def test_blenders_panels_are_open_to_the_engine(cv: ModuleType, scene: Any) -> N
 def test_messages_of_the_last_render_are_kept_for_the_panel(
     cv: ModuleType, scene: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    scene.camera.data.dof.use_dof = True
+    scene.render.use_motion_blur = True
     render(scene, tmp_path)
     (message,) = cv.cv_render.session.last_messages
-    assert "depth of field" in message
+    assert "motion blur" in message
     sys.stdout.flush()
     assert capfd.readouterr().out.count(f"CV Render: {message}") >= 1
-    scene.camera.data.dof.use_dof = False
+    scene.render.use_motion_blur = False
     add_cube(scene)
     render(scene, tmp_path)
     assert not cv.cv_render.session.last_messages

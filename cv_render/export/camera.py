@@ -32,6 +32,7 @@ def export_camera(engine: Any, scene: Any, messages: Messages) -> tuple[Camera, 
         projection=projection,
         clip_start=clip[0],
         clip_end=clip[1],
+        **_lens_size(obj, position, matrix),
         name=obj.name,
     )
     return camera, position
@@ -77,9 +78,6 @@ def _lens(
             f'Camera "{obj.name}" is {kind}, which CV Render does not know yet: '
             "set its lens type to Perspective or Orthographic"
         )
-    if data.dof.use_dof:
-        messages.add(named(data), "depth of field is not supported yet, all is in focus")
-
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and x_extent > y_extent)
     if data.type == "ORTHO":
         half_fit = data.ortho_scale / 2
@@ -92,6 +90,30 @@ def _lens(
     viewplane = (shift_x - half_x, shift_x + half_x, shift_y - half_y, shift_y + half_y)
     projection = "orthographic" if data.type == "ORTHO" else "perspective"
     return projection, viewplane, (data.clip_start, data.clip_end)
+
+
+def _lens_size(obj: Any, position: np.ndarray, matrix: np.ndarray) -> dict[str, float]:
+    """Aperture and focus of a camera with depth of field, as Cycles has them."""
+    data = obj.data
+    if obj.type != "CAMERA" or not data.dof.use_dof or data.type not in ("PERSP", "ORTHO"):
+        return {}
+    dof = data.dof
+    focal_length = 1.0 if data.type == "ORTHO" else data.lens * 1e-3
+    distance = dof.focus_distance
+    target = dof.focus_object
+    if target is not None:
+        place = np.array(target.matrix_world, np.float64)
+        if target.type == "ARMATURE" and dof.focus_subtarget in target.pose.bones:
+            place = place @ np.array(target.pose.bones[dof.focus_subtarget].matrix, np.float64)
+        axis = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+        distance = abs(float((place[:3, 3] - position) @ axis))
+    return {
+        "aperture": focal_length / (2 * max(dof.aperture_fstop, 1e-5)),
+        "focus_distance": max(distance, 1e-5),
+        "blades": dof.aperture_blades if dof.aperture_blades >= 3 else 0,
+        "blade_rotation": dof.aperture_rotation,
+        "aperture_ratio": max(dof.aperture_ratio, 1e-5),
+    }
 
 
 def _half_extents(horizontal: bool, x_extent: float, y_extent: float, half_fit: float) -> tuple[float, float]:

@@ -55,6 +55,9 @@ class Placed:
         each += len(mesh.triangles) * (TRACED_TRIANGLE_BYTES + 4 * np.ndim(mesh.slots))
         if mesh.normals is not None:
             each += mesh.normals.nbytes + 3 * mesh.triangles.nbytes
+        # Twice: exported, and in the engine's tables. A placed attribute is at most 9 numbers wide.
+        each += 2 * sum(values.nbytes for values in mesh.attributes.values())
+        each += 2 * 36 * len(mesh.triangles) * len(mesh.placed)
         return each * len(self.matrices)
 
     def placed(self, origin: np.ndarray) -> Mesh:
@@ -69,12 +72,20 @@ class Placed:
             table = _unit(_transformed(mesh.normals, _normal_matrices(matrices)))
             normals = table.take(_repeated(mesh.normal_indices, count, len(mesh.normals), mirrored), axis=0)
         materials = self.materials
+        vertices = _transformed(mesh.vertices, matrices[:, :3])
+        attributes = {name: _tiled(values, count, mirrored) for name, values in mesh.attributes.items()}
+        if "world" in mesh.placed:
+            attributes["world"] = (vertices + origin).astype(np.float32).take(triangles, axis=0)
+        if "object_to_world" in mesh.placed:
+            columns = matrices[:, :3, :3].transpose(0, 2, 1).reshape(-1, 1, 9).astype(np.float32)
+            attributes["object_to_world"] = columns.repeat(len(mesh.triangles), axis=0)
         return Mesh(
-            vertices=_transformed(mesh.vertices, matrices[:, :3]),
+            vertices=vertices,
             triangles=triangles,
             normals=normals,
             materials=np.tile(materials, count) if materials.ndim else materials,
             name=self.name,
+            attributes=attributes,
             **self.looks._asdict(),
         )
 
@@ -126,3 +137,10 @@ def _repeated(indices: np.ndarray, count: int, step: int, mirrored: np.ndarray) 
     result = indices[None] + offsets[:, None, None]
     result[mirrored] = result[mirrored][:, :, ::-1]
     return result.reshape(-1, 3)
+
+
+def _tiled(values: np.ndarray, count: int, mirrored: np.ndarray) -> np.ndarray:
+    """(I * T, 3 or 1, C): an attribute of each instance, its corners as `_repeated` turns them."""
+    result = np.tile(values[None], (count, 1, 1, 1))
+    result[mirrored] = result[mirrored][:, :, ::-1]
+    return result.reshape(-1, *values.shape[1:])

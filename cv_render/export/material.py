@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials: the nodes of Cycles, as the diffuse and emitting surfaces that the engine knows."""
+"""Materials: the node graphs of Cycles as closures of expressions."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from ...engine_core import Material
+from ...engine_core.shading.closures import Add, Closure, Diffuse, Emission, Mix
+from ...engine_core.shading.textures import ImagePixels
+from ...engine_core.shading.values import Value, attributes_of
 from ..versions import node_tree
 from .messages import Messages, named
-from .nodes import Socket, constant, described, output_node, surface
+from .nodes import Graph, Socket, constant, output_node
+from .shader_nodes import closure
 
-BASE_COLOURS = ("Base Color", "Color")
 BLACK = np.zeros(3)
 
 
@@ -22,6 +26,7 @@ class Materials:
     def __init__(self, messages: Messages) -> None:
         self._messages = messages
         self._numbers: dict[int, int] = {}
+        self._images: dict[int, ImagePixels] = {}
         self.exported = [Material(name="No material")]
 
     def number(self, material: Any | None) -> int:
@@ -31,64 +36,69 @@ class Materials:
         pointer = material.as_pointer()
         if pointer not in self._numbers:
             self._numbers[pointer] = len(self.exported)
-            self.exported.append(export_material(material, self._messages))
+            self.exported.append(export_material(material, self._messages, self._images))
         return self._numbers[pointer]
 
+    def attributes(self, numbers: Iterable[int]) -> frozenset[str]:
+        """Names of what a mesh must have at its corners if it has the materials of these ``numbers``."""
+        surfaces = (self.exported[number].surface for number in numbers)
+        return frozenset(name for surface in surfaces for name in attributes_of(surface))
 
-def export_material(material: Any, messages: Messages) -> Material:
-    """Reflectance and emission of a Blender material; what is left out goes to ``messages``."""
+
+def export_material(
+    material: Any, messages: Messages, images: dict[int, ImagePixels] | None = None
+) -> Material:
+    """The surface of a Blender material; what is left out goes to ``messages``."""
     if node_tree(material) is None:
         return Material(np.array(material.diffuse_color[:3]), name=material.name)
     owner = named(material)
     output = output_node(material)
+    if output is None:
+        return Material(0.0, name=material.name)
     for name in ("Volume", "Displacement"):
-        if output is not None and output.inputs[name].is_linked:
+        if output.inputs[name].is_linked:
             messages.add(owner, f"{name.lower()} is not supported yet and is left out")
-    reflectance, emission = _closure(surface(material), owner, messages)
+    surface = closure(Graph(owner, messages, images), Socket(output.inputs["Surface"]))
+    plain = _lambertian(surface)
+    if plain is None:
+        return Material(surface=surface, name=material.name)
+    reflectance, emission = plain
     return Material(np.maximum(reflectance, 0.0), emission, material.name)
 
 
-def _closure(shader: Socket | None, owner: str, messages: Messages) -> tuple[np.ndarray, np.ndarray]:
-    """Reflectance and emission, (3,) each, of whatever closure a socket carries."""
-    if shader is None or not shader.socket.is_output:
+def _lambertian(surface: Closure | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Reflectance and emission, (3,) each, of what is Lambertian and does not vary; None of all else."""
+    if surface is None:
         return BLACK, BLACK
-    kind = shader.node.type
+    if isinstance(surface, Diffuse):
+        colour = _number_or_colour(surface.color)
+        plain = colour is not None and surface.normal is None and not _varies_or_any(surface.roughness)
+        return (colour, BLACK) if plain else None
+    if isinstance(surface, Emission):
+        colour, strength = _number_or_colour(surface.color), _number_or_colour(surface.strength)
+        return None if colour is None or strength is None else (BLACK, colour * strength)
+    if isinstance(surface, Add | Mix):
+        first, second = _lambertian(surface.first), _lambertian(surface.second)
+        factor = _number_or_colour(surface.factor) if isinstance(surface, Mix) else None
+        if first is None or second is None or (isinstance(surface, Mix) and factor is None):
+            return None
+        a, b = (1.0, 1.0) if factor is None else (1 - factor, factor)
+        return a * first[0] + b * second[0], a * first[1] + b * second[1]
+    return None
 
-    if kind == "EMISSION":
-        return BLACK, emitted(shader, "Color", "Strength", owner, messages)
-    if kind == "ADD_SHADER":
-        first, second = (_closure(s.source(), owner, messages) for s in shader.inputs())
-        return first[0] + second[0], first[1] + second[1]
-    if kind == "MIX_SHADER":
-        factor, *shaders = shader.inputs()
-        weight = np.clip(constant(factor, owner, messages), 0.0, 1.0)
-        first, second = (_closure(s.source(), owner, messages) for s in shaders)
-        return tuple((1 - weight) * a + weight * b for a, b in zip(first, second, strict=True))
 
-    emission = BLACK
-    if kind == "BSDF_PRINCIPLED":
-        emission = emitted(shader, "Emission Color", "Emission Strength", owner, messages)
-    colour = shader.input(*BASE_COLOURS)
-    if kind == "HOLDOUT" or colour is None:
-        messages.add(owner, f"{described(shader)} is not supported yet, it is rendered black")
-        return BLACK, emission
-    if kind != "BSDF_DIFFUSE":
-        messages.add(owner, f"{described(shader)} is rendered as Diffuse BSDF of its base colour")
-    else:
-        _check_diffuse(shader, owner, messages)
-    return constant(colour, owner, messages), emission
+def _number_or_colour(value: Any) -> np.ndarray | None:
+    """(3,) of a constant; None of what varies."""
+    return None if isinstance(value, Value) else np.broadcast_to(np.asarray(value, np.float64).ravel(), 3)
+
+
+def _varies_or_any(value: Any) -> bool:
+    return isinstance(value, Value) or bool(np.any(value))
 
 
 def emitted(shader: Socket, colour: str, strength: str, owner: str, messages: Messages) -> np.ndarray:
-    """(3,) colour times strength of a node that emits."""
+    """(3,) colour times strength of a node that emits, the same everywhere."""
     factor = constant(shader.input(strength), owner, messages)
     if not factor.any():
         return BLACK
     return constant(shader.input(colour), owner, messages) * factor
-
-
-def _check_diffuse(shader: Socket, owner: str, messages: Messages) -> None:
-    if constant(shader.input("Roughness"), owner, messages) > 0:
-        messages.add(owner, f"roughness of {described(shader)} is not supported yet, it is Lambertian")
-    if shader.input("Normal").socket.is_linked:
-        messages.add(owner, f"normal of {described(shader)} is not supported yet, it is the mesh's own")

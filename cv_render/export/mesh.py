@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ..versions import flat_faces_split_normals
+from .attributes import PER_INSTANCE, Corners, array, read_attributes
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,8 @@ class MeshData:
     normals : (N, 3) float32 shading normals, or None if all is flat.
     normal_indices : (T, 3) int32 into ``normals``.
     slots : the material slot of all triangles, or (T,) int32 of them.
+    attributes : (T, 3 or 1, C) float32 by name, in the mesh's own space.
+    placed : names of further ones that depend on where the mesh stands.
     """
 
     vertices: np.ndarray
@@ -27,26 +31,41 @@ class MeshData:
     normals: np.ndarray | None
     normal_indices: np.ndarray | None
     slots: Any
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)
+    placed: tuple[str, ...] = ()
 
 
-def read_mesh(mesh: Any) -> MeshData | None:
-    """The faces of an evaluated Blender mesh, as triangles; None if it has none."""
+def read_mesh(mesh: Any, attributes: Collection[str] = ()) -> MeshData | None:
+    """The faces of an evaluated Blender mesh, as triangles; None if it has none.
+
+    attributes : names of those that its materials ask for.
+    """
     mesh.calc_loop_triangles()
     if not len(mesh.loop_triangles):
         return None
-    vertices = _array(mesh.attributes["position"].data, "vector", np.float32, 3)
-    corners = _array(mesh.loop_triangles, "loops", np.int32, 3)
-    triangles = _array(mesh.attributes[".corner_vert"].data, "value", np.int32)[corners]
+    vertices = array(mesh.attributes["position"].data, "vector", np.float32, 3)
+    corners = array(mesh.loop_triangles, "loops", np.int32, 3)
+    triangles = array(mesh.attributes[".corner_vert"].data, "value", np.int32)[corners]
     slots: Any = 0
     material_index = mesh.attributes.get("material_index")
     if material_index is not None:
-        faces = _array(mesh.loop_triangle_polygons, "value", np.int32)
-        slots = _array(material_index.data, "value", np.int32)[faces]
+        faces = array(mesh.loop_triangle_polygons, "value", np.int32)
+        slots = array(material_index.data, "value", np.int32)[faces]
         if (slots == slots[0]).all():
             slots = int(slots[0])
 
     normals, normal_indices = _normals(mesh, vertices, triangles, corners)
-    return MeshData(vertices, triangles, normals, normal_indices, slots)
+    found = {}
+    if attributes:
+        shading = None if normals is None else _unit(normals)[normal_indices]
+        found = read_attributes(Corners(mesh, vertices, triangles, corners, shading), attributes)
+    placed = tuple(name for name in PER_INSTANCE if name in attributes)
+    return MeshData(vertices, triangles, normals, normal_indices, slots, found, placed)
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0, lengths, 1)
 
 
 def _normals(
@@ -61,19 +80,19 @@ def _normals(
     if mesh.normals_domain == "CORNER" and (
         flat_faces_split_normals() or mesh.has_custom_normals or _has_sharp_edges(mesh)
     ):
-        return _array(mesh.corner_normals, "vector", np.float32, 3), corners
-    normals = _array(mesh.vertex_normals, "vector", np.float32, 3)
+        return array(mesh.corner_normals, "vector", np.float32, 3), corners
+    normals = array(mesh.vertex_normals, "vector", np.float32, 3)
     sharp_face = mesh.attributes.get("sharp_face")
     if sharp_face is None:
         return normals, triangles
-    faces = _array(mesh.loop_triangle_polygons, "value", np.int32)
-    flat = np.flatnonzero(_array(sharp_face.data, "value", bool)[faces])
+    faces = array(mesh.loop_triangle_polygons, "value", np.int32)
+    flat = np.flatnonzero(array(sharp_face.data, "value", bool)[faces])
     return _flatten(normals, triangles, flat, vertices, triangles)
 
 
 def _has_sharp_edges(mesh: Any) -> bool:
     sharp = mesh.attributes.get("sharp_edge")
-    return sharp is not None and bool(_array(sharp.data, "value", bool).any())
+    return sharp is not None and bool(array(sharp.data, "value", bool).any())
 
 
 def _flatten(
@@ -84,9 +103,3 @@ def _flatten(
     indices = indices.copy()
     indices[flat] = (len(normals) + np.arange(len(flat), dtype=np.int32))[:, None]
     return np.concatenate([normals, np.cross(b - a, c - a)]), indices
-
-
-def _array(collection: Any, attribute: str, dtype: Any, width: int = 1) -> np.ndarray:
-    array = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(attribute, array)
-    return array.reshape(-1, width) if width > 1 else array

@@ -95,7 +95,7 @@ class Objects:
         looks = Looks(visible, casts_shadow, holdout, terminator_offset(obj))
         key = (obj.data.as_pointer(), slots, looks)
         if key not in self._groups:
-            mesh = read_mesh(obj.data)
+            mesh = read_mesh(obj.data, self.materials.attributes(slots))
             self._groups[key] = mesh and Placed(obj.name, mesh, looks, np.array(slots, np.int32))
             self._check(obj, self._groups[key])
         group = self._groups[key]

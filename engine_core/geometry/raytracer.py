@@ -52,15 +52,22 @@ class RayTracer:
             # The first ray builds the tree; later calls come from several threads.
             self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), FAR)
 
-    def closest_hit(self, origins: np.ndarray, directions: np.ndarray, reach: float = FAR) -> ClosestHits:
-        """First hits of rays (N, 3) float32 within ``reach`` lengths of their direction."""
+    def closest_hit(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray = FAR
+    ) -> ClosestHits:
+        """First hits of rays (N, 3) float32 within ``reach`` lengths of their direction.
+
+        reach : one number, or (N,) float32.
+        """
         if self._scene is None:
             n = len(origins)
             nothing = np.zeros(n, np.float32)
             return ClosestHits(
                 np.full(n, -1, np.int32), nothing, nothing, nothing, np.zeros((n, 3), np.float32)
             )
-        hit = self._scene.run(origins, directions, dists=float(reach), output=True)
+        # An array would be overwritten.
+        reach = reach.copy() if np.ndim(reach) else float(reach)
+        hit = self._scene.run(origins, directions, dists=reach, output=True)
         return ClosestHits(hit["primID"], hit["tfar"], hit["u"], hit["v"], hit["Ng"])
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:

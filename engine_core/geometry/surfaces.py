@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +28,7 @@ class SurfacePoints:
     normal : (3, M) float32, unit shading normal, on the same side of the surface as ``geometric``.
     u, v : (M,) float32, barycentric weights of corners 1 and 2.
     smooth : (M,) int32, row of `Triangles.normals` or -1; None if all are flat.
-    flipped : (M,) bool, seen from the back; None where no smooth triangle needs it.
+    flipped : (M,) bool, seen from the back.
     """
 
     lane: np.ndarray | None
@@ -38,34 +39,84 @@ class SurfacePoints:
     u: np.ndarray
     v: np.ndarray
     smooth: np.ndarray | None
-    flipped: np.ndarray | None
+    flipped: np.ndarray
 
     def __len__(self) -> int:
         return len(self.triangle)
 
+    def take(self, rows: np.ndarray) -> SurfacePoints:
+        """The points at ``rows``."""
+        return SurfacePoints(
+            rows if self.lane is None else self.lane.take(rows),
+            self.triangle.take(rows),
+            take(self.position, rows),
+            take(self.geometric, rows),
+            take(self.normal, rows),
+            self.u.take(rows),
+            self.v.take(rows),
+            None if self.smooth is None else self.smooth.take(rows),
+            self.flipped.take(rows),
+        )
+
+    def turned(self) -> SurfacePoints:
+        """The same points on the far side of their surfaces."""
+        return replace(self, geometric=-self.geometric, normal=-self.normal, flipped=~self.flipped)
+
+    @staticmethod
+    def concatenate(parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """Points of several kinds of rays, one after the other; ``lane`` must be known in all."""
+        if len(parts) == 1:
+            return parts[0]
+        joined = (
+            None if getattr(parts[0], f.name) is None
+            else np.concatenate([getattr(part, f.name) for part in parts], axis=-1)
+            for f in fields(SurfacePoints)
+        )  # fmt: skip
+        return SurfacePoints(*joined)
+
 
 class Surfaces:
-    """The triangles of a scene with their ray tracers; a second one only where shadows differ."""
+    """The triangles of a scene with their ray tracers; further ones only where shadows differ.
 
-    def __init__(self, triangles: Triangles) -> None:
+    any_transparent : whether a shadow may be one that lets something through.
+    """
+
+    def __init__(self, triangles: Triangles, transmits: np.ndarray | None = None) -> None:
+        """transmits : (T,) bool, triangles that let light straight through; None if none does."""
         self.triangles = triangles
         seen, casts = triangles.visible_to_camera, triangles.casts_shadow
         self._camera_tracer, self._camera_rows = _tracer_of(triangles, seen)
+        clear = None if transmits is None else np.broadcast_to(casts, transmits.shape) & transmits
+        self.any_transparent = clear is not None and bool(clear.any())
+        if self.any_transparent:
+            self._clear_tracer, self._clear_rows = _tracer_of(triangles, clear)
+            casts = casts & ~clear
         if np.array_equal(seen, casts):
             self._shadow_tracer = self._camera_tracer
         else:
             self._shadow_tracer, _ = _tracer_of(triangles, casts)
 
     def first_hit(
-        self, origins: np.ndarray, directions: np.ndarray, reach: float = FAR
+        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray = FAR
     ) -> tuple[SurfacePoints, np.ndarray]:
         """What camera rays meet.
 
         origins, directions : (N, 3) float32; the direction of an orthographic camera may be (1, 3).
+        reach : in lengths of the direction, one number or (N,) float32.
 
         Returns the points, and (M,) float32 their distances in lengths of the direction.
         """
-        hits = self._camera_tracer.closest_hit(origins, directions, reach)
+        return self._hit(self._camera_tracer, self._camera_rows, origins, directions, reach)
+
+    def _hit(
+        self,
+        tracer: RayTracer,
+        rows: np.ndarray | None,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: float | np.ndarray,
+    ) -> tuple[SurfacePoints, np.ndarray]:
+        hits = tracer.closest_hit(origins, directions, reach)
         found = hits.triangle >= 0
         lane = None
         if not found.all():
@@ -79,7 +130,7 @@ class Surfaces:
             )
             origins = origins.take(lane, axis=0)
             directions = directions if len(directions) == 1 else directions.take(lane, axis=0)
-        triangle = hits.triangle if self._camera_rows is None else self._camera_rows[hits.triangle]
+        triangle = hits.triangle if rows is None else rows[hits.triangle]
         position = np.empty((3, len(triangle)), np.float32)
         for i in range(3):
             np.multiply(hits.distance, directions[:, i], out=position[i])
@@ -88,12 +139,22 @@ class Surfaces:
         flip = _dot_rows(geometric, directions) > 0
         scale = inverse_length(geometric)
         geometric *= np.where(flip, -scale, scale)
-        points = SurfacePoints(lane, triangle, position, geometric, geometric, hits.u, hits.v, None, None)
+        points = SurfacePoints(lane, triangle, position, geometric, geometric, hits.u, hits.v, None, flip)
         if self.triangles.smooth is not None:
             points.smooth = self.triangles.smooth.take(triangle)
-            points.flipped = flip
             points.normal = self._shading_normal(points)
         return points, hits.distance
+
+    def beyond(self, points: SurfacePoints) -> np.ndarray:
+        """(M, 3) origins of rays that go on behind the points, as seen by whoever sees them."""
+        origins = points.position - points.geometric * self.triangles.offset.take(points.triangle)
+        return np.ascontiguousarray(origins.T)
+
+    def next_transparent(
+        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray
+    ) -> tuple[SurfacePoints, np.ndarray]:
+        """Like `first_hit`, of shadow rays, with surfaces that let light straight through; reach (N,)."""
+        return self._hit(self._clear_tracer, self._clear_rows, origins, directions, reach)
 
     def _shading_normal(self, points: SurfacePoints) -> np.ndarray:
         """Interpolated normals (3, M), the geometric ones where a triangle is flat or they vanish."""
@@ -120,7 +181,7 @@ class Surfaces:
         out[:, lanes] = normal
         return out
 
-    def visible(
+    def shadow_rays(
         self,
         points: SurfacePoints,
         index: np.ndarray,
@@ -128,8 +189,8 @@ class Surfaces:
         cos_shading: np.ndarray,
         at_infinity: np.ndarray | bool,
         shortened: np.ndarray | bool,
-    ) -> np.ndarray:
-        """(K,) bool: does light reach points[index] from where ``to_light`` leads?
+    ) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
+        """Rays from points[index] to where ``to_light`` leads: origins, directions (K, 3), and their reach.
 
         index : (K,) into ``points``.
         to_light : (3, K) float32, from the point to the light (any length if ``at_infinity``).
@@ -157,7 +218,11 @@ class Surfaces:
                 np.subtract(to_light[i], offset[i] * finite, out=directions[:, i])
         one = np.float32(1.0)
         reach = np.where(at_infinity, FAR, np.where(shortened, SHORTFALL, one)).astype(np.float32)
-        return ~self._shadow_tracer.occluded(origins, directions, float(reach) if reach.ndim == 0 else reach)
+        return origins, directions, float(reach) if reach.ndim == 0 else reach
+
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
+        """(K,) bool: does a surface that lets nothing through lie in the way of shadow rays?"""
+        return self._shadow_tracer.occluded(origins, directions, reach)
 
     def _lift_terminator(
         self,

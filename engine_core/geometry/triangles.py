@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Triangles:
     normals : (S, 9) float32, the normal of corner 0 and the differences of corners 1 and 2 to it.
     terminator_offset : float32, scalar or (T,), Cycles' shadow terminator geometry offset.
     visible_to_camera, casts_shadow, holdout : (T,) bool, or a bool if all agree.
+    attributes : tables of what meshes have at their corners, by name.
     """
 
     vertices: np.ndarray
@@ -40,9 +41,47 @@ class Triangles:
     visible_to_camera: np.ndarray | bool
     casts_shadow: np.ndarray | bool
     holdout: np.ndarray | bool
+    attributes: dict[str, CornerTable] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def attribute(
+        self, name: str, width: int, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> np.ndarray:
+        """(width, N) float32 of an attribute at points of triangles (N,); 0 where a mesh has none.
+
+        u, v : (N,) barycentric weights of corners 1 and 2.
+        """
+        if name not in self.attributes:
+            return np.zeros((width, 1), np.float32)
+        return self.attributes[name].at(width, triangle, u, v)
+
+
+@dataclass(frozen=True, eq=False)
+class CornerTable:
+    """An attribute of some triangles.
+
+    row : (T,) int32, row of each triangle, -1 where its mesh has none; None if row i is of triangle i.
+    corners : (S, 3, C) float32, corner 0 and the differences of corners 1 and 2 to it, or (S, 1, C).
+    """
+
+    row: np.ndarray | None
+    corners: np.ndarray
+
+    def at(self, width: int, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        row = triangle if self.row is None else self.row.take(triangle)
+        # Row -1 is the last one, whichever that is: it is put to 0 below.
+        table = self.corners.take(row, axis=0, mode="wrap")
+        value = np.zeros((width, len(triangle)), np.float32)
+        for c in range(min(width, table.shape[2])):
+            np.copyto(value[c], table[:, 0, c])
+            if table.shape[1] == 3:
+                value[c] += u * table[:, 1, c]
+                value[c] += v * table[:, 2, c]
+        if self.row is not None:
+            value *= row >= 0
+        return value
 
 
 def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, list[str]]:
@@ -90,6 +129,7 @@ def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, l
         per_triangle("visible_to_camera", bool),
         per_triangle("casts_shadow", bool),
         per_triangle("holdout", bool),
+        _corner_tables(parts, counts, select),
     )
     return triangles, messages
 
@@ -157,3 +197,30 @@ def _smooth_normals(parts, counts, select) -> tuple[np.ndarray, np.ndarray | Non
             row += count
         triangle += count
     return normals, smooth
+
+
+def _corner_tables(parts, counts, select) -> dict[str, CornerTable]:
+    tables = {}
+    for name in sorted({name for mesh, _, _ in parts for name in mesh.attributes}):
+        have = [(mesh.attributes.get(name), keep) for mesh, _, keep in parts]
+        each = 3 if any(values is not None and values.shape[1] == 3 for values, _ in have) else 1
+        width = max(values.shape[2] for values, _ in have if values is not None)
+        size = sum(count for count, (values, _) in zip(counts, have, strict=True) if values is not None)
+        if size == 0:
+            continue
+        corners = np.zeros((size, each, width), np.float32)
+        row = None if size == sum(counts) else np.full(sum(counts), -1, np.int32)
+        filled = triangle = 0
+        for count, (values, keep) in zip(counts, have, strict=True):
+            if values is not None:
+                part = corners[filled : filled + count, :, : values.shape[2]]
+                part[:] = select(values, keep)
+                part[:, 1:] -= part[:, :1]
+                if row is not None:
+                    row[triangle : triangle + count] = np.arange(filled, filled + count, dtype=np.int32)
+                filled += count
+            triangle += count
+        if not np.isfinite(corners.sum()):
+            corners[~np.isfinite(corners)] = 0
+        tables[name] = CornerTable(row, corners)
+    return tables

@@ -31,6 +31,10 @@ class Camera:
     region : (x0, y0, x1, y1), the pixels rendered, row 0 at the bottom; None is the whole frame.
     projection : "perspective" or "orthographic".
     clip_start, clip_end : distances along the view axis between which anything is seen.
+    aperture : radius of the lens in scene units; 0 has all in focus.
+    focus_distance : along the view axis, of the plane that is in focus.
+    blades : of a polygonal aperture, from 3; less is round. blade_rotation : in radians.
+    aperture_ratio : height of the aperture over its width; an anamorphic lens has one above 1.
     """
 
     camera_to_world: Any
@@ -41,6 +45,11 @@ class Camera:
     projection: str = "perspective"
     clip_start: float = 0.0
     clip_end: float = np.inf
+    aperture: float = 0.0
+    focus_distance: float = 10.0
+    blades: int = 0
+    blade_rotation: float = 0.0
+    aperture_ratio: float = 1.0
     name: str = "Camera"
 
     def __post_init__(self) -> None:
@@ -66,6 +75,13 @@ class Camera:
         # An orthographic camera may see what lies behind its own plane.
         set_number(self, "clip_start", low=0.0 if self.projection == "perspective" else -np.inf)
         set_number(self, "clip_end", low=self.clip_start, infinite=True)
+        set_number(self, "aperture", low=0.0)
+        if not set_number(self, "focus_distance") > 0 and self.aperture:
+            raise fail(self, "focus_distance", f"is {self.focus_distance}, wanted more than 0")
+        set_integer(self, "blades", 0, 1000)
+        set_number(self, "blade_rotation")
+        if not set_number(self, "aperture_ratio", low=0.0) > 0:
+            raise fail(self, "aperture_ratio", "is 0, wanted more")
 
     @classmethod
     def look_at(

@@ -127,15 +127,27 @@ class SunLight(Light):
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Constant radiance from everywhere.
+    """Radiance from everywhere: one colour, a picture, or the sum of both.
 
     radiance : RGB in W/(sr m2).
+    image : (H, W, 3) radiance, linear and equirectangular, interpolated linearly: row 0 looks down -Z, the
+        middle of a row along +X, its first quarter along +Y. Negative values count as 0.
+    rotation : (3, 3) orthogonal, from directions in the world to those of the image.
     visible_to_camera : False leaves the background black (it still lights the scene).
     """
 
     radiance: Any = 0.0
     visible_to_camera: bool = True
     name: str = "World"
+    image: Any = None
+    rotation: Any = None
 
     def __post_init__(self) -> None:
         set_colour(self, "radiance")
+        if self.image is not None and not set_array(self, "image", (None, None, 3), np.float32).size:
+            raise fail(self, "image", f"has shape {self.image.shape}, wanted at least a texel")
+        if self.rotation is None:
+            object.__setattr__(self, "rotation", np.eye(3))
+        rotation = set_array(self, "rotation", (3, 3))
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4:
+            raise fail(self, "rotation", f"is {rotation.tolist()}, wanted perpendicular unit rows")

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ class Mesh:
     visible_to_camera, casts_shadow : ray visibility.
     holdout : cuts a hole of alpha 0 into the picture, and still casts shadows.
     terminator_offset : Cycles' "shadow terminator geometry offset" for smooth triangles, in [0, 1].
+    attributes : for each name (T, 3, C) float32 of each triangle's corners, or (T, 1, C) of triangles.
     """
 
     vertices: Any
@@ -34,6 +36,7 @@ class Mesh:
     holdout: bool = False
     terminator_offset: float = 0.1
     name: str = "Mesh"
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         vertices = set_array(self, "vertices", (None, 3), np.float32, finite=False)
@@ -51,3 +54,11 @@ class Mesh:
         else:
             set_array(self, "materials", (len(triangles),), np.int32)
         set_number(self, "terminator_offset", 0.0, 1.0)
+        object.__setattr__(self, "attributes", {k: self._attribute(k, v) for k, v in self.attributes.items()})
+
+    def _attribute(self, name: str, values: Any) -> np.ndarray:
+        array = np.asarray(values, np.float32)
+        if array.ndim != 3 or len(array) != len(self.triangles) or array.shape[1] not in (1, 3):
+            wanted = f"({len(self.triangles)}, 3 or 1, width)"
+            raise fail(self, "attributes", f'has "{name}" of shape {array.shape}, wanted {wanted}')
+        return array

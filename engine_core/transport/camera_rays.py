@@ -8,10 +8,13 @@ import numpy as np
 from ..geometry.frame import Frame
 from ..geometry.raytracer import FAR
 from ..scene import Camera
+from .warps import concentric_disk, regular_polygon
 
 
 class CameraRays:
-    """Maps (pixel, point in the unit square) to a ray, in the frame's units.
+    """Maps (pixel, point in its unit square, point on a lens of some size) to a ray, in the frame's units.
+
+    dimensions : 2 of a pixel, and 2 of a lens.
 
     The direction's component along the view axis is 1, so that a distance along the ray *is* the
     depth. The box filter of one pixel is the whole reconstruction, as with Cycles' "Box".
@@ -29,11 +32,17 @@ class CameraRays:
         self.clip_start = float(camera.clip_start * frame.scale)
         length = (camera.clip_end - camera.clip_start) * frame.scale
         self.reach = float(min(length, FAR))
+        self.dimensions = 4 if camera.aperture > 0 else 2
+        self._right, self._up = right, up
+        self._lens = camera.aperture * frame.scale, camera.blades, camera.blade_rotation
+        self._narrowing = 1 / camera.aperture_ratio
+        self._focus = camera.focus_distance * frame.scale
 
     def rays(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and directions, (B * S, 3) float32 (one direction (1, 3) if orthographic).
+        """Origins and directions, (B * S, 3) float32 (one direction (1, 3) if orthographic, all in focus).
 
-        x, y : (B,) pixels of the whole frame. u : (2, B, S) points of each pixel's unit square.
+        x, y : (B,) pixels of the whole frame. u : (2 or 4, B, S) points of each pixel's unit square, and of
+        the lens.
         """
         # Where the pixel begins needs float64: at 4K its float32 is worth only 2^-12 of a pixel.
         start = self._corner[:, None] + self._step_x[:, None] * x + self._step_y[:, None] * y
@@ -47,7 +56,24 @@ class CameraRays:
             value += u[1] * step_y[i]
             value += start[i][:, None]
             points[:, i] = value.reshape(-1)
+        if self.dimensions == 4:
+            return self._through_lens(points, u[2:].reshape(2, -1))
         if self._perspective:
             return points * np.float32(self.clip_start), points
         points += (self._forward * self.clip_start).astype(np.float32)
         return points, self._forward.astype(np.float32)[None]
+
+    def _through_lens(self, points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rays from points of the lens to where rays ``points`` (N, 3) through its middle are in focus."""
+        radius, blades, rotation = self._lens
+        x, y = concentric_disk(*u) if blades < 3 else regular_polygon(blades, rotation, *u)
+        lens = np.outer(x * np.float32(radius * self._narrowing), self._right.astype(np.float32))
+        lens += np.outer(y * np.float32(radius), self._up.astype(np.float32))
+        if self._perspective:
+            directions = points - lens / np.float32(self._focus)
+            origins = lens
+        else:
+            directions = self._forward.astype(np.float32) - lens / np.float32(self._focus)
+            origins = points + lens
+        origins += directions * np.float32(self.clip_start)
+        return origins, directions

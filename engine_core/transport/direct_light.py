@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Direct illumination as a staged function of primary space.
 
-    first : (screen 2)            -> camera hits, and what is seen without another dimension
+    first : (screen 2, lens 2 if it has a size) -> camera hits, what is seen without another dimension
     rest  : (light 2, light choice 1) -> radiance reflected at those hits (one light needs no choice)
 
     L_o = integral over the lights of f L_e V cos cos' / d^2 dA      (thesis eq. 5.1)
 
-Every light's map is in `emitters`; the choice among lights is one more dimension.
+Every light's map is in `emitters`, every lobe's in `bsdf`; the choice among lights is one more dimension.
+Lights and lobes are sampled at the same point of primary space and summed, weighed by the power heuristic
+(thesis eq. 4.1, 5.4, 5.5), so that both together are one function, which polynomials follow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Lock
 
@@ -20,10 +22,10 @@ import numpy as np
 from ..geometry.frame import frame_of
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
-from ..geometry.vectors import dot, take
+from ..geometry.vectors import dot, inverse_length, take
 from ..integration.sobol import hash_combine, unit_float
 from ..scene import Scene
-from .camera_rays import CameraRays
+from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
 from .light_choice import (
     CELL,
@@ -32,57 +34,23 @@ from .light_choice import (
     CandidateLights,
     EveryLight,
     LightChoice,
-    Lights,
     WeighedLights,
     mean_irradiance,
 )
+from .light_samples import LightSamples, SceneLights
+from .shadows import Shadows
+from .surface_shading import Slot, SurfaceShader
 
-RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
-"""Channels of the integrand."""
-
-
-@dataclass(frozen=True)
-class Pixels:
-    """B pixels of one tile, the integrand's bins.
-
-    x, y : (B,) int, places in the whole frame.
-    cell : (B,) int, ascending, the tile's cells of `light_choice`.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    cell: np.ndarray
-
-    def key(self) -> np.ndarray:
-        """(B,) uint32, the same for a pixel in any tile and any border render."""
-        return hash_combine(self.x, self.y)
-
-    def __len__(self) -> int:
-        return len(self.x)
-
-    def __getitem__(self, part: slice | np.ndarray) -> Pixels:
-        return Pixels(self.x[part], self.y[part], self.cell[part])
-
-
-@dataclass(eq=False)
-class CameraHits:
-    """The first stage's result for B x S camera rays.
-
-    values : (C, B * S) what needs no further dimension: emission, background, alpha, normal.
-    points : the M rays that hit a surface which light can fall on; ``points.lane`` says which.
-    depth : (B * S,) along the view axis, scene units; inf where nothing was hit.
-    cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
-    """
-
-    values: np.ndarray
-    points: SurfacePoints
-    depth: np.ndarray
-    cell: np.ndarray | None
-
-    @property
-    def lane(self) -> np.ndarray | None:
-        """(M,) ascending, the rays that hit; None if all did."""
-        return self.points.lane
+__all__ = [
+    "ALPHA",
+    "NORMAL",
+    "RGB",
+    "CameraHits",
+    "DirectLight",
+    "DirectLightOverTile",
+    "Pixels",
+    "Reflected",
+]
 
 
 @dataclass(eq=False)
@@ -97,51 +65,64 @@ class Reflected:
     shadow_rays: int
     non_finite: int
 
+    @staticmethod
+    def joined(parts: Sequence[Reflected]) -> Reflected:
+        if len(parts) == 1:
+            return parts[0]
+        return Reflected(
+            np.concatenate([part.which for part in parts]),
+            np.concatenate([part.radiance for part in parts], axis=1),
+            sum(part.shadow_rays for part in parts),
+            sum(part.non_finite for part in parts),
+        )
+
+
+NOTHING = Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
+
 
 class DirectLight:
     """The integrand of a scene: rays, surfaces, emitters. Shared by all threads.
 
     messages : what of the scene is left out, one sentence each.
+    screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
+    only_points : no light has a size. channels, transparent : as in `CameraStage`.
     """
 
-    screen_dimensions = 2
+    def __init__(
+        self,
+        scene: Scene,
+        transparent: bool = False,
+        normals: bool = False,
+        sampling: str = "mis",
+        crossings: int = 8,
+    ) -> None:
+        """transparent : the background has no radiance and alpha 0. normals : integrate them too.
 
-    def __init__(self, scene: Scene, transparent: bool = False, normals: bool = False) -> None:
-        """transparent : the background has no radiance and alpha 0. normals : integrate them too."""
+        sampling : of what is not diffuse, "mis", "light" or "bsdf".
+        crossings : how many transparent surfaces a ray may cross.
+        """
         frame = frame_of(scene)
         triangles, self.messages = gather_triangles(scene.meshes, frame)
-        self._unscale = 1 / frame.scale
-        self._rays = CameraRays(scene.camera, frame)
-        self._surfaces = Surfaces(triangles)
-        self.emitters, messages = emitter_groups(scene.lights, scene.world, scene.materials, triangles, frame)
-        self.lights = Lights(self.emitters)
-        self._weighed = WeighedLights(self.lights)
+        shader = SurfaceShader(scene.materials, triangles, frame)
+        transmits = shader.transmits
+        self._surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
+        materials = shader.with_mean_emission(scene.materials)
+        groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame)
         self.messages += messages
-        self.any_mesh = any(group.is_mesh for group in self.emitters)
+        self.lights = SceneLights(groups, shader, triangles)
+        self.any_mesh, self.only_points = self.lights.any_mesh, self.lights.only_points
+        self._stage = CameraStage(
+            scene, frame, self._surfaces, shader, groups, transparent, normals, crossings
+        )
+        self.channels, self.transparent = self._stage.channels, self._stage.transparent
+        self._shadows = Shadows(self._surfaces, shader, crossings)
+        self._weighed = WeighedLights(self.lights)
+        self._sampling = sampling
+        self.screen_dimensions = self._stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.any_mesh else 2
-        self.only_points = all(group.is_point for group in self.emitters)
-        self.transparent = transparent or self._surfaces.any_holdout
-        self.channels = 7 if normals else 4
-        self._normals = normals
-        self._transparent = transparent
-        self._background = np.zeros(3, np.float32)
-        if scene.world.visible_to_camera and not transparent:
-            self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)
-        self._reflectance = np.array(
-            [m.reflectance for m in scene.materials], np.float32
-        ).T.copy() / np.float32(np.pi)
-        self._emission = np.maximum([m.emission for m in scene.materials], 0).astype(np.float32).T.copy()
-        self._emits = (
-            bool(self._emission[:, np.unique(triangles.material)].any()) if len(triangles) else False
-        )
-        self._one_material = len(scene.materials) == 1
-        self._light_number = np.min_scalar_type(len(self.lights))
-        none = np.zeros((3, 0), np.float32)
-        self._strength = np.concatenate([none] + [group.strength for group in self.emitters], axis=1)
-        self._casts_shadow = np.concatenate(
-            [np.zeros(0, bool)] + [group.casts_shadow for group in self.emitters]
-        )
+        self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
+        self._one_material = len(materials) == 1
 
     # -- choosing among lights ---------------------------------------------------------------------
 
@@ -167,8 +148,11 @@ class DirectLight:
         pilot = np.arange(PILOT_GRID**2)
         across, up = (hash_combine(cell_x[:, None], cell_y[:, None], pilot, axis) for axis in (71, 72))
         u = np.stack([(column + unit_float(across)) * step, (row + unit_float(up)) * step])
-        origins, directions = self._rays.rays(cell_x * CELL, cell_y * CELL, u)
-        points, _ = self._surfaces.first_hit(origins, directions, self._rays.reach)
+        u = u.astype(np.float32)
+        if self.screen_dimensions == 4:
+            u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
+        origins, directions = self._stage.rays.rays(cell_x * CELL, cell_y * CELL, u)
+        points, _ = self._surfaces.first_hit(origins, directions, self._stage.rays.reach)
         found = np.zeros(across.shape, bool)
         position, normal = np.zeros((2, 3, *across.shape), np.float32)
         lanes = slice(None) if points.lane is None else points.lane
@@ -180,47 +164,12 @@ class DirectLight:
     # -- the two stages ----------------------------------------------------------------------------
 
     def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
-        """Camera rays through (2, B, S) points of the pixels' unit squares."""
-        origins, directions = self._rays.rays(pixels.x, pixels.y, u)
-        n = len(origins)
-        points, distance = self._surfaces.first_hit(origins, directions, self._rays.reach)
-        lane = points.lane
-        values = np.zeros((self.channels, n), np.float32)
-        hit_all = lane is None
-        lanes = slice(None) if hit_all else lane
-        depth = np.full(n, np.inf, np.float32)
-        depth[lanes] = distance
-        if not hit_all:
-            if self._background.any():
-                values[RGB] = self._background[:, None]
-                values[RGB, lane] = 0
-            if not self._transparent:
-                values[ALPHA] = 1
-        values[ALPHA, lanes] = 1
-        if self._emits:
-            values[RGB, lanes] = take(self._emission, self._surfaces.triangles.material.take(points.triangle))
-        if self._normals:
-            values[NORMAL, lanes] = points.normal
-        held = None
-        if self._surfaces.any_holdout:
-            holdout = np.broadcast_to(self._surfaces.triangles.holdout, len(self._surfaces.triangles))
-            held = holdout[points.triangle]
-            where = np.flatnonzero(held) if hit_all else lane[held]
-            values[:, where] = 0
-        for group in self.emitters:
-            # What is infinitely far is behind everything, but beyond no clipping plane.
-            limit = depth if group.at_infinity else np.minimum(depth, np.float32(self._rays.reach))
-            seen = group.seen(origins, directions, limit)
-            if seen is not None:
-                values[RGB] += seen
-        depth = (depth + np.float32(self._rays.clip_start)) * np.float32(self._unscale)
-        if held is not None and held.any():
-            points = _without(points, held)
-        cell = None
+        """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
+        hits = self._stage.hit(pixels, u)
         if len(self.lights) > WEIGHED:
             rows = np.repeat(pixels.cell, u.shape[2])
-            cell = rows if points.lane is None else rows.take(points.lane)
-        return CameraHits(values, points, depth, cell)
+            hits.cell = rows if hits.points.lane is None else rows.take(hits.points.lane)
+        return hits
 
     def rest(
         self,
@@ -235,106 +184,155 @@ class DirectLight:
         """
         points = hits.points
         if len(self.lights) == 0 or u.size == 0 or len(points) == 0:
-            return Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
+            return NOTHING
         split = u.shape[2] if lane is None else 1
-        at = lane if split == 1 else np.repeat(np.arange(len(points)), split)
-        order = None
-        if len(self.lights) == 1:
-            light = None
-            position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
-            u = u.reshape(len(u), -1)
-            # Only a mesh has a use for the third, its choice of a triangle.
-            to_light, weight = self.emitters[0].sample(None, position, normal, u[-1], u[:2])
-            at_infinity, is_mesh = self.emitters[0].at_infinity, self.emitters[0].is_mesh
-        else:
-            if lane is None:
-                position, normal, cell = points.position, points.normal, hits.cell
-            else:
-                position, normal = take(points.position, lane), take(points.normal, lane)
-                cell = None if hits.cell is None else hits.cell.take(lane)
-            # Side by side, samples of one light run through the same code and towards the same place.
-            if isinstance(choice, EveryLight):
-                count, pdf = u[0].size, None
-                order = np.tile(np.arange(count), len(self.lights))
-                light = np.repeat(np.arange(len(self.lights)), count)
-                w = u[-1].reshape(-1).take(order)
-            else:
-                light, pdf, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
-                order = np.argsort(light.astype(self._light_number), kind="stable")
-                light, pdf, w = light.take(order), pdf.take(order), w.take(order)
-            at = order if at is None else at.take(order)
-            position, normal = take(points.position, at), take(points.normal, at)
-            to_light, weight, at_infinity, is_mesh = self._sample_sorted(
-                light, position, normal, w, take(u[:2].reshape(2, -1), order)
-            )
-            if pdf is not None:
-                weight /= pdf
-        cosine = dot(normal, to_light)
+        u = u.reshape(len(u), -1)
+        if split > 1:
+            lane = np.repeat(np.arange(len(points) if hits.first is None else len(hits.first) - 1), split)
+        if hits.first is None:
+            return self._reflected(hits, lane, u, choice, split)
+        # A ray that sees several points has all of them lit by the same sample.
+        lane = np.arange(u.shape[1]) if lane is None else lane
+        start = hits.first.take(lane)
+        seen = hits.first.take(lane + 1) - start
+        which = np.repeat(np.arange(len(lane)), seen)
+        at = np.arange(len(which)) - np.repeat(np.cumsum(seen) - seen, seen) + start.take(which)
+        reflected = self._reflected(hits, at, take(u, which), choice, 1)
+        reflected.which = which.take(reflected.which)
+        return reflected
+
+    def _reflected(self, hits, at, u, choice, split) -> Reflected:
+        """Light reflected at points ``at`` (K,), None for all in order; ``split`` samples in a row each."""
+        samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split)
+        if hits.slots is None:
+            return self._reflect_lambertian(hits.points, samples)
+        parts = [self._reflect(hits, samples)]
+        if not self.only_points:
+            at = np.arange(u.shape[1]) if at is None else at
+            parts += [
+                self._sample_lobe(hits, slot, at, u[:2], choice) for slot in hits.slots if self._samples(slot)
+            ]
+        return Reflected.joined(parts)
+
+    def _samples(self, slot: Slot) -> bool:
+        """Whether directions are sampled by the lobe, too."""
+        return slot.sampled and self._sampling != "light"
+
+    def _reflect_lambertian(self, points: SurfacePoints, samples: LightSamples) -> Reflected:
+        to_light = samples.to_light
+        cosine = dot(take(points.normal, samples.at), to_light)
         cosine /= np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-37)))
-        weight = weight * np.maximum(cosine, 0)
-        lit = np.flatnonzero(weight)
-        bad = lit.size
-        if not np.isfinite(weight.sum()):
-            lit = lit[np.isfinite(weight[lit])]
-        bad -= lit.size
+        weight = samples.weight * np.maximum(cosine, 0)
+        lit, bad = _finite(weight)
         if lit.size < weight.size:
-            to_light, cosine, weight = take(to_light, lit), cosine.take(lit), weight.take(lit)
-            at_infinity, is_mesh = (a if np.ndim(a) == 0 else a.take(lit) for a in (at_infinity, is_mesh))
-            at = lit if at is None else at.take(lit)
-            light = None if light is None else light.take(lit)
-        elif at is None:
-            at = lit
-        visible = np.flatnonzero(self._visible(points, at, to_light, cosine, at_infinity, is_mesh, light))
-        shadow_rays = at.size
-        which = lit.take(visible)
-        if order is not None:
-            which = order.take(which)
-        at, weight = at.take(visible), weight.take(visible)
-        colour = self._strength if light is None else take(self._strength, light.take(visible))
+            samples, cosine, weight = samples.take(lit), cosine.take(lit), weight.take(lit)
+        arrive, _, rays = self._arriving(points, samples, cosine)
+        samples, weight = samples.take(arrive), weight.take(arrive)
+        strength = self.lights.strength(points, samples)
         if self._one_material:
-            radiance = (self._reflectance * colour) * weight
+            radiance = (self._reflectance * strength) * weight
         else:
-            material = self._surfaces.triangles.material.take(points.triangle.take(at))
-            radiance = take(self._reflectance, material) * colour
+            material = self._surfaces.triangles.material.take(points.triangle.take(samples.at))
+            radiance = take(self._reflectance, material) * strength
             radiance *= weight
-        return Reflected(which, radiance, shadow_rays, bad)
+        return Reflected(samples.which, radiance, rays, bad)
 
-    def _sample_sorted(self, light, position, normal, w, u):
-        """Samples of lights in ascending order, kind after kind."""
-        n = len(light)
-        to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
-        at_infinity, is_mesh = np.zeros((2, n), bool)
-        cuts = np.searchsorted(light, self.lights.first)
-        for group, start, low, high in zip(
-            self.emitters, self.lights.first[:-1], cuts[:-1], cuts[1:], strict=True
-        ):
-            if low == high:
-                continue
-            part = slice(low, high)
-            which = light[part] - start if len(group) > 1 else None
-            to_light[:, part], weight[part] = group.sample(
-                which, position[:, part], normal[:, part], w[part], u[:, part]
-            )
-            at_infinity[part] = group.at_infinity
-            is_mesh[part] = group.is_mesh
-        if len({group.at_infinity for group in self.emitters}) == 1:
-            at_infinity = self.emitters[0].at_infinity
-        if len({group.is_mesh for group in self.emitters}) == 1:
-            is_mesh = self.emitters[0].is_mesh
-        return to_light, weight, at_infinity, is_mesh
+    def _reflect(self, hits: CameraHits, samples: LightSamples) -> Reflected:
+        """Light samples reflected by lobes of all kinds, weighed against sampling these."""
+        points = hits.points
+        unit = samples.to_light * inverse_length(samples.to_light)
+        value = np.zeros_like(unit)
+        density = None
+        for slot in hits.slots:
+            lanes, row = slot.of(samples.at)
+            part, pdf = slot.lobe.evaluate(row, unit if lanes is None else take(unit, lanes))
+            if self._samples(slot):
+                if density is None:
+                    density = self.lights.density(points, samples)
+                there = density if lanes is None else density.take(lanes)
+                share = _power(there, pdf) if self._sampling == "mis" else np.isinf(there)
+                # A mirror shows no light that has no size, as in Cycles.
+                part *= np.where(np.isinf(there) & slot.lobe.is_mirror(row), np.float32(0), share)
+            if lanes is None:
+                value += part
+            else:
+                value[:, lanes] += part
+        value *= samples.weight
+        lit, bad = _finite(value.max(axis=0))
+        if lit.size < value.shape[1]:
+            samples, unit, value = samples.take(lit), take(unit, lit), take(value, lit)
+        arrive, passed, rays = self._arriving(points, samples, dot(take(points.normal, samples.at), unit))
+        samples, value = samples.take(arrive), take(value, arrive)
+        value *= self.lights.strength(points, samples)
+        if passed is not None:
+            value *= passed
+        return Reflected(samples.which, value, rays, bad)
 
-    def _visible(self, points, at, to_light, cosine, at_infinity, is_mesh, light):
-        if self._casts_shadow.all():
-            return self._surfaces.visible(points, at, to_light, cosine, at_infinity, is_mesh)
-        casts = np.repeat(self._casts_shadow, len(at)) if light is None else self._casts_shadow.take(light)
-        visible = ~casts
+    def _sample_lobe(self, hits: CameraHits, slot: Slot, at: np.ndarray, u: np.ndarray, choice) -> Reflected:
+        """Lights that directions sampled by a lobe meet: at points ``at`` (K,) by u (2, K)."""
+        points = hits.points
+        lanes, row = slot.of(at)
+        if lanes is not None:
+            at, u = at.take(lanes), take(u, lanes)
+        direction = slot.lobe.sample(row, u)
+        samples, radiance, density = self.lights.along(points, at, direction)
+        if len(samples.at) == 0:
+            return NOTHING
+        direction = take(direction, samples.which)
+        value, pdf = slot.lobe.evaluate(row.take(samples.which), direction)
+        if self._sampling == "mis":
+            if choice is not None and not isinstance(choice, EveryLight):
+                cell = None if hits.cell is None else hits.cell.take(samples.at)
+                position, normal = take(points.position, samples.at), take(points.normal, samples.at)
+                density = density * choice.pdf(samples.light, position, normal, cell)
+            value *= _power(pdf, density)
+        value *= radiance
+        value /= np.maximum(pdf, np.float32(1e-37))
+        lit, bad = _finite(value.max(axis=0))
+        samples, value, direction = samples.take(lit), take(value, lit), take(direction, lit)
+        cosine = dot(take(points.normal, samples.at), direction)
+        arrive, passed, rays = self._arriving(points, samples, cosine)
+        value = take(value, arrive)
+        if passed is not None:
+            value *= passed
+        which = samples.which.take(arrive)
+        return Reflected(which if lanes is None else lanes.take(which), value, rays, bad)
+
+    def _arriving(
+        self, points: SurfacePoints, samples: LightSamples, cosine: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """Which samples (J,) arrive, what part (3, J) of them (None: all), and how many rays that took.
+
+        cosine : (K,) of the directions to the shading normals.
+        """
+        casts_shadow = self.lights.casts_shadow
+        if casts_shadow.all():
+            return self._shadows.arriving(points, samples, cosine)
+        casts = np.broadcast_to(
+            casts_shadow.take(0 if samples.light is None else samples.light), cosine.shape
+        )
         lanes = np.flatnonzero(casts)
-        if lanes.size:
-            at_infinity, is_mesh = (a if np.ndim(a) == 0 else a.take(lanes) for a in (at_infinity, is_mesh))
-            visible[lanes] = self._surfaces.visible(
-                points, at.take(lanes), take(to_light, lanes), cosine.take(lanes), at_infinity, is_mesh
-            )
-        return visible
+        arrive, passed, rays = self._shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
+        part = np.ones((3, len(casts)), np.float32)
+        part[:, lanes] = 0
+        part[:, lanes.take(arrive)] = 1 if passed is None else passed
+        arrive = np.flatnonzero(part.any(axis=0))
+        return arrive, None if passed is None else take(part, arrive), rays
+
+
+def _finite(value: np.ndarray) -> tuple[np.ndarray, int]:
+    """Which of (K,) values are finite and not 0, and how many are not finite."""
+    lit = np.flatnonzero(value)
+    bad = lit.size
+    if not np.isfinite(value.sum()):
+        lit = lit[np.isfinite(value[lit])]
+    return lit, bad - lit.size
+
+
+def _power(own: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Power heuristic (beta 2) of a technique with density ``own`` beside one with ``other`` (eq. 5.5)."""
+    ratio = other / np.maximum(own, np.float32(1e-30))
+    return 1 / (1 + ratio * ratio)
 
 
 class DirectLightOverTile:
@@ -381,19 +379,3 @@ def _inset(u: np.ndarray) -> np.ndarray:
     if u.dtype == np.float32:
         return u
     return np.clip(u, 2.0**-24, 1 - 2.0**-24).astype(np.float32)
-
-
-def _without(points: SurfacePoints, held: np.ndarray) -> SurfacePoints:
-    """``points`` less those for which ``held`` (M,) is true."""
-    keep = np.flatnonzero(~held)
-    return SurfacePoints(
-        keep if points.lane is None else points.lane[keep],
-        points.triangle[keep],
-        take(points.position, keep),
-        take(points.geometric, keep),
-        take(points.normal, keep),
-        points.u[keep],
-        points.v[keep],
-        None if points.smooth is None else points.smooth[keep],
-        None if points.flipped is None else points.flipped[keep],
-    )

@@ -11,7 +11,7 @@ none is ever missed: the estimate is unbiased whatever the estimates are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,12 @@ class LightChoice(Protocol):
 
         position, normal : (3, M). cell : (M,) ascending. w : (M, S) uniform in (0, 1).
         """
+        ...
+
+    def pdf(
+        self, light: np.ndarray, position: np.ndarray, normal: np.ndarray, cell: np.ndarray | None
+    ) -> np.ndarray:
+        """(N,) probabilities with which `choose` takes ``light`` (N,) at points (3, N) of ``cell`` (N,)."""
         ...
 
 
@@ -86,15 +92,25 @@ class WeighedLights:
     def __init__(self, lights: Lights) -> None:
         self._lights = lights
 
+        self._chances = np.full(len(lights), 1 / max(len(lights), 1))
+
     def choose(self, position, normal, cell, w) -> Choice:
-        step = max(1, _CHUNK // len(self._lights))
-        chances = np.full(len(self._lights), 1 / len(self._lights))
         parts = []
-        for start in range(0, len(w), step):
-            part = slice(start, start + step)
+        for part in self._parts(len(w)):
             weight = self._lights.irradiance(position[:, part], normal[:, part])
-            parts.append(_choose(weight, chances, w[part]))
+            parts.append(_choose(weight, self._chances, w[part]))
         return _joined(parts)
+
+    def pdf(self, light, position, normal, cell) -> np.ndarray:
+        result = np.empty(len(light), np.float32)
+        for part in self._parts(len(light)):
+            weight = self._lights.irradiance(position[:, part], normal[:, part])
+            result[part] = _pdf(weight, self._chances, light[part])
+        return result
+
+    def _parts(self, count: int) -> Iterator[slice]:
+        step = max(1, _CHUNK // len(self._lights))
+        return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
 class EveryLight:
@@ -126,20 +142,39 @@ class CandidateLights:
         self._chances = np.append(np.full(WEIGHED, 1 / count), 1 - WEIGHED / count)
 
     def choose(self, position, normal, cell, w) -> Choice:
-        starts = np.flatnonzero(np.diff(cell, prepend=-1))
-        step = _CHUNK // WEIGHED
-        parts = []
-        for first, stop in zip(starts, np.append(starts[1:], len(w)), strict=True):
-            for start in range(first, stop, step):
-                part = slice(start, min(start + step, stop))
-                parts.append(self._choose(position[:, part], normal[:, part], int(cell[first]), w[part]))
+        parts = [
+            self._choose(position[:, part], normal[:, part], row, w[part]) for part, row in self._parts(cell)
+        ]
         return _joined(parts)
 
-    def _choose(self, position: np.ndarray, normal: np.ndarray, cell: int, w: np.ndarray) -> Choice:
-        weight = np.empty((WEIGHED + 1, len(w)), np.float32)
+    def pdf(self, light, position, normal, cell) -> np.ndarray:
+        result = np.empty(len(light), np.float32)
+        for part, row in self._parts(cell):
+            candidates, chosen = self._candidates[row], light[part]
+            slot = np.searchsorted(candidates, chosen)
+            slot[candidates.take(slot, mode="clip") != chosen] = WEIGHED
+            weight = self._weight(position[:, part], normal[:, part], row)
+            # What is no candidate's chance is the rest's, and the light's share of it.
+            share = np.where(slot == WEIGHED, self._pdf[row].take(chosen), np.float32(1))
+            result[part] = _pdf(weight, self._chances, slot) * share
+        return result
+
+    def _parts(self, cell: np.ndarray) -> Iterator[tuple[slice, int]]:
+        """Runs of one cell, not too long."""
+        starts = np.flatnonzero(np.diff(cell, prepend=-1))
+        step = _CHUNK // WEIGHED
+        for first, stop in zip(starts, np.append(starts[1:], len(cell)), strict=True):
+            for start in range(first, stop, step):
+                yield slice(start, min(start + step, stop)), int(cell[first])
+
+    def _weight(self, position: np.ndarray, normal: np.ndarray, cell: int) -> np.ndarray:
+        weight = np.empty((WEIGHED + 1, position.shape[1]), np.float32)
         weight[:-1] = self._lights.irradiance(position, normal, self._candidates[cell])
         weight[-1] = self._rest[cell]
-        slot, pdf, w = _choose(weight, self._chances, w)
+        return weight
+
+    def _choose(self, position: np.ndarray, normal: np.ndarray, cell: int, w: np.ndarray) -> Choice:
+        slot, pdf, w = _choose(self._weight(position, normal, cell), self._chances, w)
         light = np.append(self._candidates[cell], 0).take(slot)
         others = np.flatnonzero(slot == WEIGHED)
         if others.size:
@@ -160,12 +195,7 @@ def _choose(weight: np.ndarray, chances: np.ndarray, w: np.ndarray) -> Choice:
 
     Overwrites ``weight``.
     """
-    total = weight.sum(axis=0)
-    dark = total <= np.float32(1e-37)
-    if dark.any():
-        weight[:, dark] = chances.astype(np.float32)[:, None]
-        total = np.where(dark, np.float32(1), total)
-    weight += np.outer(chances, total * (_ALIKE / (1 - _ALIKE))).astype(np.float32)
+    _mix(weight, chances)
     upper = np.empty_like(weight)
     upper[0] = weight[0]
     for before, here, out in zip(upper[:-1], weight[1:], upper[1:], strict=True):
@@ -183,6 +213,23 @@ def _choose(weight: np.ndarray, chances: np.ndarray, w: np.ndarray) -> Choice:
     stretched += 1
     np.clip(stretched, 0, np.float32(1 - 2.0**-24), out=stretched)
     return slot, chosen / np.repeat(total, w.shape[1]), stretched
+
+
+def _pdf(weight: np.ndarray, chances: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """(M,) probabilities with which `_choose` takes ``slot`` (M,). Overwrites ``weight``."""
+    _mix(weight, chances)
+    chosen = weight.reshape(-1).take(slot * len(slot) + np.arange(len(slot)))
+    return chosen / weight.sum(axis=0)
+
+
+def _mix(weight: np.ndarray, chances: np.ndarray) -> None:
+    """Adds to ``weight`` (L, M) what all lights have alike."""
+    total = weight.sum(axis=0)
+    dark = total <= np.float32(1e-37)
+    if dark.any():
+        weight[:, dark] = chances.astype(np.float32)[:, None]
+        total = np.where(dark, np.float32(1), total)
+    weight += np.outer(chances, total * (_ALIKE / (1 - _ALIKE))).astype(np.float32)
 
 
 def _joined(parts: list[Choice]) -> Choice:

@@ -36,6 +36,21 @@ def concentric_disk(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.where(wide, cos, sin), np.where(wide, sin, cos)
 
 
+def regular_polygon(
+    corners: int, rotation: float, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Uniform points (x, y) of a regular polygon in the unit circle; an edge's middle lies at ``rotation``."""
+    scaled = u * np.float32(corners)
+    number = np.minimum(np.floor(scaled), np.float32(corners - 1))
+    root = np.sqrt(scaled - number)
+    v = v * root
+    # Of the triangle between the centre and two corners; a and b weigh the corners.
+    a, b = root - v, v
+    angle = number * np.float32(2 * np.pi / corners) + np.float32(rotation - np.pi / corners)
+    following = angle + np.float32(2 * np.pi / corners)
+    return a * np.cos(angle) + b * np.cos(following), a * np.sin(angle) + b * np.sin(following)
+
+
 def cap(u: np.ndarray, v: np.ndarray, one_minus_cos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Uniform directions (x, y, 1 - z) of a spherical cap about +z; pdf 1 / (2 pi one_minus_cos).
 
@@ -51,3 +66,40 @@ def cap(u: np.ndarray, v: np.ndarray, one_minus_cos: np.ndarray) -> tuple[np.nda
 def sin_sqr_to_one_minus_cos(sin_sqr: np.ndarray) -> np.ndarray:
     """1 - cos of an angle in [0, pi/2] from its squared sine, without cancellation."""
     return sin_sqr / (1 + np.sqrt(np.maximum(1 - sin_sqr, 0)))
+
+
+def cosine_hemisphere(normal: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions about ``normal`` with pdf cos / pi, and their measure pi / cos."""
+    x, y = concentric_disk(u[0], u[1])
+    z = np.sqrt(np.maximum(1 - x * x - y * y, np.float32(1e-12)))
+    s, t = basis(normal)
+    return x * s + y * t + z * normal, np.float32(np.pi) / z
+
+
+def linear(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Points of [0, 1] whose density goes from ``a`` to ``b``, at least 0, on a line."""
+    root = np.sqrt(a * a + u * (b * b - a * a))
+    total = a + root
+    return np.where(total > 0, np.minimum(u * (a + b) / np.where(total > 0, total, 1), 1), u)
+
+
+class Bilinear:
+    """A density over the unit square, bilinear between positive values (M,) at its corners."""
+
+    def __init__(self, w00: np.ndarray, w10: np.ndarray, w01: np.ndarray, w11: np.ndarray) -> None:
+        """w10 is the corner (1, 0)."""
+        scale = 4 / (w00 + w10 + w01 + w11)
+        self._corners = tuple(w * scale for w in (w00, w10, w01, w11))
+
+    def sample(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (2, M), and their densities (M,)."""
+        w00, w10, w01, w11 = self._corners
+        v = linear(w00 + w10, w01 + w11, u[1])
+        left, right = w00 + v * (w01 - w00), w10 + v * (w11 - w10)
+        h = linear(left, right, u[0])
+        return np.stack([h, v]), left + h * (right - left)
+
+    def density(self, u: np.ndarray) -> np.ndarray:
+        w00, w10, w01, w11 = self._corners
+        left, right = w00 + u[1] * (w01 - w00), w10 + u[1] * (w11 - w10)
+        return left + u[0] * (right - left)

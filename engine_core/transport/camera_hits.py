@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The first stage of direct light: what camera rays see, one layer behind another, and its BSDF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..bsdf.diffuse import DiffuseTransmission, Lambert
+from ..geometry.frame import Frame
+from ..geometry.surfaces import SurfacePoints, Surfaces
+from ..geometry.vectors import take
+from ..integration.sobol import hash_combine
+from ..scene import Scene
+from .camera_rays import CameraRays
+from .emitters import Emitters
+from .surface_shading import LobeGatherer, Slot, SurfaceShader
+
+RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
+"""Channels of the integrand."""
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """B pixels of one tile, the integrand's bins.
+
+    x, y : (B,) int, places in the whole frame.
+    cell : (B,) int, ascending, the tile's cells of `light_choice`.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    cell: np.ndarray
+
+    def key(self) -> np.ndarray:
+        """(B,) uint32, the same for a pixel in any tile and any border render."""
+        return hash_combine(self.x, self.y)
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, part: slice | np.ndarray) -> Pixels:
+        return Pixels(self.x[part], self.y[part], self.cell[part])
+
+
+@dataclass(eq=False)
+class CameraHits:
+    """The first stage's result for B x S camera rays.
+
+    values : (C, B * S) what needs no further dimension: emission, background, alpha, normal.
+    points : P surface points that light can fall on; ``points.lane`` says by which camera ray each is seen,
+        ascending. A ray sees several where surfaces let it through, or scatter light to their far side.
+    depth : (B * S,) along the view axis, scene units; inf where nothing was hit.
+    cell : (P,) ascending rows of the tile's light choice; None where that knows no cells.
+    slots : lobes of the BSDFs at the points; None if all are Lambertian.
+    first : (M + 1,) where the points of each of M rays begin; None if each of the M has but one.
+    """
+
+    values: np.ndarray
+    points: SurfacePoints
+    depth: np.ndarray
+    cell: np.ndarray | None
+    slots: list[Slot] | None = None
+    first: np.ndarray | None = None
+
+    @property
+    def lane(self) -> np.ndarray | None:
+        """(M,) ascending, the rays that hit; None if all did."""
+        lane = self.points.lane
+        return lane if self.first is None else lane.take(self.first[:-1])
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(3, M) shading normals where the rays hit first."""
+        normal = self.points.normal
+        return normal if self.first is None else take(normal, self.first[:-1])
+
+
+class CameraStage:
+    """Camera rays, and all that is known of a pixel without another dimension.
+
+    dimensions : 2 of a pixel, and 2 of a lens.
+    channels : of the values. transparent : whether alpha can be less than 1.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        frame: Frame,
+        surfaces: Surfaces,
+        shader: SurfaceShader,
+        emitters: Sequence[Emitters],
+        transparent: bool,
+        normals: bool,
+        crossings: int,
+    ) -> None:
+        """transparent : the background has no radiance and alpha 0. normals : integrate them too.
+
+        crossings : how many transparent surfaces a ray may cross.
+        """
+        self.rays = CameraRays(scene.camera, frame)
+        self.dimensions = self.rays.dimensions
+        self._surfaces = surfaces
+        self._shader = shader
+        self._emitters = emitters
+        self._unscale = 1 / frame.scale
+        self._crossings = crossings
+        self._clear_background = transparent
+        self.transparent = transparent or surfaces.any_holdout or shader.any_holdout
+        self.channels = 7 if normals else 4
+        self._normals = normals
+        self._lights_seen = any(group.any_visible for group in emitters)
+        self._wants_lobes = len(emitters) > 0
+        self._background = np.zeros(3, np.float32)
+        if scene.world.visible_to_camera and not transparent:
+            self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)
+        materials = scene.materials
+        self._emission = np.maximum([m.emission for m in materials], 0).astype(np.float32).T.copy()
+        used = np.unique(surfaces.triangles.material)
+        self._emits = bool(self._emission[:, used].any())
+
+    def hit(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
+        """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
+        origins, directions = self.rays.rays(pixels.x, pixels.y, u)
+        points, distance = self._surfaces.first_hit(origins, directions, self.rays.reach)
+        values = np.zeros((self.channels, len(origins)), np.float32)
+        lanes = slice(None) if points.lane is None else points.lane
+        depth = np.full(len(origins), np.inf, np.float32)
+        depth[lanes] = distance
+        if self._normals:
+            values[NORMAL, lanes] = points.normal
+        if self._shader.lambertian:
+            hits = self._lambertian(values, points, depth, origins, directions)
+        else:
+            hits = self._shaded(values, points, depth, origins, directions)
+        hits.depth += np.float32(self.rays.clip_start)
+        hits.depth *= np.float32(self._unscale)
+        return hits
+
+    def _lambertian(
+        self,
+        values: np.ndarray,
+        points: SurfacePoints,
+        depth: np.ndarray,
+        origins: np.ndarray,
+        directions: np.ndarray,
+    ) -> CameraHits:
+        """Hits where all surfaces are Lambertian, opaque, and emit the same everywhere."""
+        lane = points.lane
+        hit_all = lane is None
+        lanes = slice(None) if hit_all else lane
+        if not hit_all:
+            if self._background.any():
+                values[RGB] = self._background[:, None]
+                values[RGB, lane] = 0
+            if not self._clear_background:
+                values[ALPHA] = 1
+        values[ALPHA, lanes] = 1
+        if self._emits:
+            values[RGB, lanes] = take(self._emission, self._surfaces.triangles.material.take(points.triangle))
+        held = self._held_out(points)
+        if held is not None:
+            where = np.flatnonzero(held) if hit_all else lane[held]
+            values[:, where] = 0
+            points = points.take(np.flatnonzero(~held))
+        self._add_lights_seen(values[RGB], origins, directions, depth)
+        return CameraHits(values, points, depth, None)
+
+    def _held_out(self, points: SurfacePoints) -> np.ndarray | None:
+        """(M,) bool, which of the points are on objects that are holdouts; None if none can be."""
+        if not self._surfaces.any_holdout:
+            return None
+        holdout = np.broadcast_to(self._surfaces.triangles.holdout, len(self._surfaces.triangles))
+        return holdout[points.triangle]
+
+    def _add_lights_seen(
+        self, radiance: np.ndarray, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray
+    ) -> None:
+        """Add the lights that camera rays see before ``depth`` (N,) to ``radiance`` (3, N)."""
+        for group in self._emitters:
+            if group.is_background and self._clear_background:
+                continue
+            # What is infinitely far is behind everything, but beyond no clipping plane.
+            limit = depth if group.at_infinity else np.minimum(depth, np.float32(self.rays.reach))
+            seen = group.seen(origins, directions, limit)
+            if seen is not None:
+                radiance += seen
+
+    def _shaded(
+        self,
+        values: np.ndarray,
+        points: SurfacePoints,
+        depth: np.ndarray,
+        origins: np.ndarray,
+        directions: np.ndarray,
+    ) -> CameraHits:
+        """Hits of surfaces of all kinds: one layer behind another, as long as light passes straight on."""
+        n = values.shape[1]
+        radiance, alpha = values[RGB], values[ALPHA]
+        gatherer, found, count = LobeGatherer(), [], 0
+        ray, throughput, start = np.arange(n), None, np.zeros(n, np.float32)
+        here = origins
+        for crossing in range(self._crossings + 1):
+            last = crossing == self._crossings
+            if crossing:
+                reach = np.float32(self.rays.reach) - start
+                points, distance = self._surfaces.first_hit(here, self._of(directions, ray), reach)
+            else:
+                distance = depth.take(points.lane) if points.lane is not None else depth
+            lane = np.arange(len(ray)) if points.lane is None else points.lane
+            self._add_between(radiance, origins, directions, ray, throughput, start, lane, distance)
+            missed = np.ones(len(ray), bool)
+            missed[lane] = False
+            self._add_background(radiance, alpha, ray[missed], _at(throughput, missed))
+            ray, start, throughput = ray.take(lane), start.take(lane) + distance, _at(throughput, lane)
+            points.lane = ray
+            found.append(points)
+            if len(points) == 0:
+                break
+            viewer = np.broadcast_to(-self._of(directions, ray).T, (3, len(ray)))
+            through = np.zeros((3, len(ray)), np.float32)
+            opaque = np.ones(len(ray), np.float32)
+            held = self._held_out(points)
+            behind = []
+            for rows, terms in self._shader.terms(points, viewer, self._wants_lobes):
+                rows = np.arange(len(ray)) if rows is None else rows
+                weight = _at(throughput, rows)
+                if held is not None and held.any():
+                    kept = (~held[rows]).astype(np.float32)
+                    weight = kept * np.ones((3, 1), np.float32) if weight is None else weight * kept
+                emission = np.maximum(terms.emission, 0)
+                if emission.any():
+                    radiance[:, ray.take(rows)] += emission if weight is None else emission * weight
+                through[:, rows] = terms.transparency
+                opaque[rows] = 1 - terms.holdout
+                through_it = [lobe for lobe in terms.lobes if isinstance(lobe, DiffuseTransmission)]
+                ahead = [lobe for lobe in terms.lobes if not isinstance(lobe, DiffuseTransmission)]
+                gatherer.add(rows + count, ahead, weight)
+                if through_it:
+                    behind.append((rows, [_from_behind(lobe) for lobe in through_it], weight))
+            count += len(points)
+            for rows, lobes, weight in behind:
+                found.append(points.take(rows).turned())
+                gatherer.add(np.arange(count, count + len(rows)), lobes, weight)
+                count += len(rows)
+            if held is not None:
+                opaque[held] = 0
+                through[:, held] = 0
+            np.clip(through, 0, None, out=through)
+            shown = opaque - (0 if last else through)
+            alpha[ray] += (shown if throughput is None else throughput * shown).mean(axis=0)
+            on = np.flatnonzero(through.any(axis=0))
+            if on.size == 0 or last:
+                break
+            throughput = take(through, on) if throughput is None else take(throughput * through, on)
+            here = self._surfaces.beyond(points.take(on))
+            ray, start = ray.take(on), start.take(on)
+        return self._gathered(values, depth, gatherer, found, count)
+
+    def _gathered(
+        self,
+        values: np.ndarray,
+        depth: np.ndarray,
+        gatherer: LobeGatherer,
+        found: Sequence[SurfacePoints],
+        count: int,
+    ) -> CameraHits:
+        """The points that reflect at all, in the order of their rays."""
+        reflects = gatherer.reflecting(count)
+        if not reflects.any():
+            none = np.zeros(0, np.intp)
+            return CameraHits(values, found[0].take(none), depth, None, [])
+        points = SurfacePoints.concatenate(found)
+        order = np.flatnonzero(reflects)
+        if len(found) > 1:
+            order = order.take(np.argsort(points.lane.take(order), kind="stable"))
+        renumbered = None
+        if len(found) > 1 or len(order) < count:
+            renumbered = np.full(count, -1, np.int32)
+            renumbered[order] = np.arange(len(order), dtype=np.int32)
+            points = points.take(order)
+        slots = gatherer.slots(renumbered, len(points))
+        first = np.flatnonzero(np.diff(points.lane, prepend=-1))
+        if len(first) < len(points):
+            return CameraHits(values, points, depth, None, slots, np.append(first, len(points)))
+        if len(points) == values.shape[1]:
+            points.lane = None
+        return CameraHits(values, points, depth, None, slots)
+
+    def _add_between(
+        self,
+        radiance: np.ndarray,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        ray: np.ndarray,
+        throughput: np.ndarray | None,
+        start: np.ndarray,
+        lane: np.ndarray,
+        distance: np.ndarray,
+    ) -> None:
+        """Add the lights that rays see between ``start`` and the next surface to ``radiance`` (3, N).
+
+        ray : (K,) which of the N camera rays go on. lane : (M,) which of these hit, at ``distance`` (M,).
+        """
+        if not self._lights_seen:
+            return
+        end = np.full(len(ray), np.inf, np.float32)
+        end[lane] = start.take(lane) + distance
+        origins, directions = origins.take(ray, axis=0), self._of(directions, ray)
+        seen = np.zeros((3, len(ray)), np.float32)
+        self._add_lights_seen(seen, origins, directions, end)
+        if throughput is not None:
+            before = np.zeros_like(seen)
+            self._add_lights_seen(before, origins, directions, start)
+            seen -= before
+            seen *= throughput
+        radiance[:, ray] += seen
+
+    def _add_background(
+        self, radiance: np.ndarray, alpha: np.ndarray, ray: np.ndarray, throughput: np.ndarray | None
+    ) -> None:
+        """Add what rays (K,) of the N see that meet nothing any more."""
+        if self._background.any():
+            background = self._background[:, None]
+            radiance[:, ray] += background if throughput is None else background * throughput
+        if not self._clear_background:
+            alpha[ray] += 1 if throughput is None else throughput.mean(axis=0)
+
+    @staticmethod
+    def _of(directions: np.ndarray, ray: np.ndarray) -> np.ndarray:
+        return directions if len(directions) == 1 else directions.take(ray, axis=0)
+
+
+def _from_behind(lobe: DiffuseTransmission) -> Lambert:
+    """What scatters light to the far side, as a reflector on that side."""
+    surface = None if lobe.surface is None else -lobe.surface
+    return Lambert(lobe.weight, -lobe.normal, lobe.towards_viewer, surface=surface)
+
+
+def _at(throughput: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
+    """Columns of a throughput (3, K), which is None for 1; rows may be a mask."""
+    return None if throughput is None else throughput[:, rows]

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Point and spot lights: points, spheres, and disks that face the shaded point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...geometry.frame import Frame
+from ...geometry.vectors import dot, take
+from ...scene import Light, PointLight, SpotLight
+from ..warps import basis, cap, cosine_hemisphere, sin_sqr_to_one_minus_cos
+from .base import FEW, Emitters, of
+from .bounds import Bounds
+
+
+class Cone:
+    """The attenuation of spot lights; a point light is a spot open on all sides."""
+
+    def __init__(self, lights: Sequence[Light]) -> None:
+        spots = [isinstance(light, SpotLight) for light in lights]
+        self.any = any(spots)
+        if not self.any:
+            return
+        self._inverse = np.zeros((3, 3, len(lights)), np.float32)
+        self._cos = np.full(len(lights), -2.0, np.float32)
+        self._sharpness = np.full(len(lights), 1e12, np.float32)
+        for i, light in enumerate(lights):
+            if spots[i]:
+                matrix = light.light_to_world[:3, :3]
+                # A scale common to all axes changes no direction, but would underflow.
+                inverse = np.linalg.inv(matrix / np.abs(matrix).max())
+                self._inverse[:, :, i] = inverse / np.abs(inverse).max()
+                cos = np.cos(light.angle / 2)
+                self._cos[i] = cos
+                self._sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
+
+    def attenuation(self, which: np.ndarray | None, to_light: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """(M,) in [0, 1]: smoothstep of the cosine to the axis, in the light's own (scaled) space.
+
+        slack : added to the cosine; makes an estimate generous.
+        """
+        inverse = of(self._inverse, which)
+        x, y, z = (dot(inverse[i], to_light) for i in range(3))
+        # to_light points at the light: along its +Z for what the spot faces.
+        cosine = z / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-30))
+        t = np.clip((cosine + slack - of(self._cos, which)) * of(self._sharpness, which), 0, 1)
+        return t * t * (3 - 2 * t)
+
+
+class _Points(Emitters):
+    """Point and spot lights: position, radius and cone."""
+
+    def __init__(self, lights: Sequence[PointLight | SpotLight], frame: Frame) -> None:
+        radius = np.array([light.radius for light in lights])
+        strength = np.array([light.power for light in lights]) * frame.scale**2
+        for row, light in zip(strength, lights, strict=True):
+            row /= 4 * np.pi if light.normalize else (1 / light.radius**2 if light.radius > 0 else np.pi)
+        size = np.pi * (radius * frame.scale) ** 2
+        super().__init__(strength, size, [light.casts_shadow for light in lights])
+        self._position = frame.positions([_position(light) for light in lights]).T.copy()
+        self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
+        self._any_size = bool((self._radius > 0).any())
+        self._cone = Cone(lights)
+        sized = [light.radius > 0 for light in lights]
+        self._sized = np.flatnonzero(sized)
+        if self._sized.size > FEW:
+            centre, reach = take(self._position, self._sized), self._radius.take(self._sized)
+            self._bounds = Bounds(centre - reach, centre + reach)
+        self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera and sized[i]]
+
+    def _attenuate(self, measure: np.ndarray, which: np.ndarray | None, to_light: np.ndarray) -> np.ndarray:
+        return measure * self._cone.attenuation(which, to_light) if self._cone.any else measure
+
+    def _gain(self, light, position, directions):
+        return self._cone.attenuation(light, directions) if self._cone.any else None
+
+    def irradiance(self, position, normal, which=None):
+        to_light = self._column(self._position, which) - position[:, None, :]
+        square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
+        inverse = 1 / np.sqrt(square)
+        cosine = dot(to_light, normal[:, None, :])
+        cosine *= inverse
+        if self._any_size:
+            radius = self._column(self._radius, which)
+            size = np.minimum(radius * inverse, 1)
+            cosine += size
+            cosine /= 1 + size
+            square += radius * radius
+        else:
+            size = np.float32(0)
+        estimate = np.clip(cosine, 0, 1, out=cosine)
+        estimate *= self._column(self._brightness, which)
+        estimate /= square
+        if self._cone.any:
+            light = np.arange(len(self)) if which is None else which
+            light = np.broadcast_to(light[:, None], square.shape)
+            cone = self._cone.attenuation(light, to_light, size + np.float32(1e-3))
+            estimate *= np.where(cone > 0, np.maximum(cone, np.float32(1e-3)), 0)
+        return estimate
+
+
+class PointEmitters(_Points):
+    """Lights without size. Measure: 1 / d^2."""
+
+    is_point = True
+
+    def sample(self, which, position, normal, w, u):
+        to_light = of(self._position, which) - position
+        measure = 1 / np.maximum(dot(to_light, to_light), np.float32(1e-30))
+        return to_light, self._attenuate(measure, which, to_light)
+
+
+class DiskEmitters(_Points):
+    """Blender's "soft falloff": disks that face the shaded point, sampled by the cone that they fill.
+
+    Measure: the cone's solid angle over the disk's area, 2 (1 - cos) / r^2 with tan = r / d.
+    """
+
+    def sample(self, which, position, normal, w, u):
+        centre = of(self._position, which) - position
+        radius = of(self._radius, which)
+        square = np.maximum(dot(centre, centre), np.float32(1e-30))
+        whole = square + radius * radius
+        one_minus_cos = sin_sqr_to_one_minus_cos(radius * radius / whole)
+        axis = centre / np.sqrt(square)
+        x, y, below = cap(u[0], u[1], one_minus_cos)
+        s, t = basis(axis)
+        stretch = np.sqrt(square) / (1 - below)
+        to_light = centre + (x * stretch) * s + (y * stretch) * t
+        return to_light, self._attenuate(2 / (whole * (2 - one_minus_cos)), which, to_light)
+
+    def pdf(self, which, position, normal, to_light):
+        centre = of(self._position, which) - position
+        square_radius = of(self._radius, which) ** 2
+        sin_sqr = square_radius / (np.maximum(dot(centre, centre), np.float32(1e-30)) + square_radius)
+        return _cone_pdf(sin_sqr_to_one_minus_cos(sin_sqr))
+
+    def _meet(self, light, position, directions):
+        centre, radius = take(self._position, light) - position, self._radius.take(light)
+        along = dot(centre, directions)
+        front = along > 0
+        t = dot(centre, centre) / np.where(front, along, np.float32(1))
+        gap = directions * t
+        gap -= centre
+        return t, front & (dot(gap, gap) <= radius * radius)
+
+
+class SphereEmitters(_Points):
+    """Spheres, sampled by the cone that they fill. Measure: its solid angle over pi r^2.
+
+    That is 2 (1 - cos) / r^2 with sin = r / d. From inside a cosine-weighted direction, 1 / (r^2 cos).
+    """
+
+    def sample(self, which, position, normal, w, u):
+        centre = of(self._position, which) - position
+        radius = of(self._radius, which)
+        square = np.maximum(dot(centre, centre), np.float32(1e-30))
+        inside = square <= radius * radius
+        distance = np.sqrt(square)
+        axis = centre / distance
+        one_minus_cos = sin_sqr_to_one_minus_cos(np.minimum(radius * radius / square, 1))
+        x, y, below = cap(u[0], u[1], one_minus_cos)
+        s, t = basis(axis)
+        direction = x * s + y * t + (1 - below) * axis
+        sin_sqr = below * (2 - below)
+        half_chord = np.sqrt(np.maximum(radius * radius - square * sin_sqr, 0))
+        reach = distance * (1 - below) - half_chord
+        measure = 2 / (square * (2 - one_minus_cos))
+        if inside.any():
+            lanes = np.flatnonzero(np.broadcast_to(inside, reach.shape))
+            r = np.broadcast_to(radius, reach.shape)[lanes]
+            d, out = cosine_hemisphere(normal[:, lanes], u[:, lanes])
+            along = dot(d, centre[:, lanes])
+            direction[:, lanes] = d
+            reach[lanes] = along + np.sqrt(np.maximum(r * r - square[lanes] + along * along, 0))
+            measure = self._attenuate(measure * np.ones_like(reach), which, direction)
+            measure[lanes] = out / np.maximum(np.float32(np.pi) * r * r, np.float32(1e-37))
+            return direction * reach, measure
+        return direction * reach, self._attenuate(measure, which, direction)
+
+    def irradiance(self, position, normal, which=None):
+        estimate = super().irradiance(position, normal, which)
+        to_light = self._column(self._position, which) - position[:, None, :]
+        square = np.maximum(self._column(self._radius, which) ** 2, np.float32(1e-37))
+        inside = dot(to_light, to_light) <= np.float32(1.0001) * square
+        return np.where(inside, self._column(self._brightness, which) / square, estimate)
+
+    def pdf(self, which, position, normal, to_light):
+        centre = of(self._position, which) - position
+        square_radius = of(self._radius, which) ** 2
+        square = np.maximum(dot(centre, centre), np.float32(1e-30))
+        pdf = _cone_pdf(sin_sqr_to_one_minus_cos(np.minimum(square_radius / square, 1)))
+        inside = square <= square_radius
+        if inside.any():
+            cosine = dot(normal, to_light) / np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-30)))
+            pdf = np.where(inside, np.maximum(cosine, 0) * np.float32(1 / np.pi), pdf)
+        return pdf
+
+    def _meet(self, light, position, directions):
+        centre, radius = take(self._position, light) - position, self._radius.take(light)
+        along = dot(centre, directions)
+        gap = along * directions
+        gap -= centre
+        half = radius * radius - dot(gap, gap)
+        met = half >= 0
+        half = np.sqrt(np.maximum(half, 0))
+        t = np.where(along - half > 0, along - half, along + half)
+        return t, met & (t > 0)
+
+    def _gain(self, light, position, directions):
+        # Within a sphere there is no cone, as in Cycles.
+        gain = super()._gain(light, position, directions)
+        if gain is None:
+            return None
+        centre = take(self._position, light) - position
+        inside = dot(centre, centre) <= take(self._radius, light) ** 2
+        return np.where(inside, np.float32(1), gain)
+
+
+def _position(light: PointLight | SpotLight) -> np.ndarray:
+    return light.light_to_world[:3, 3] if isinstance(light, SpotLight) else light.position
+
+
+def _cone_pdf(one_minus_cos: np.ndarray) -> np.ndarray:
+    """Density of uniform directions in a cone."""
+    return np.float32(0.5 / np.pi) / np.maximum(one_minus_cos, np.float32(1e-37))

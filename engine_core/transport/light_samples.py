@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All lights of a scene as one: sampled, met by directions, and how likely either was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..geometry.raytracer import FAR, RayTracer
+from ..geometry.surfaces import SurfacePoints
+from ..geometry.triangles import Triangles
+from ..geometry.vectors import take
+from .emitters import Emitters
+from .light_choice import EveryLight, LightChoice, Lights
+from .surface_shading import SurfaceShader
+
+
+@dataclass(eq=False)
+class LightSamples:
+    """K vectors to lights, from points that they may light.
+
+    which : (K,) the sample of N that each belongs to. at : (K,) the point.
+    light : (K,) number, ascending; None if there is but one.
+    to_light : (3, K). weight : (K,) what strength, or radiance, times the cosine is multiplied with.
+    chance : (K,) probability that the light was chosen, None for 1.
+    at_infinity, is_mesh : (K,) bool, or a bool for all.
+    w : (K,) the point of primary space that chose a mesh's triangle; None of what is no sample of a mesh.
+    """
+
+    which: np.ndarray
+    at: np.ndarray
+    light: np.ndarray | None
+    to_light: np.ndarray
+    weight: np.ndarray
+    chance: np.ndarray | None
+    at_infinity: np.ndarray | bool
+    is_mesh: np.ndarray | bool
+    w: np.ndarray | None = None
+
+    def take(self, rows: np.ndarray) -> LightSamples:
+        def some(a):
+            return a if a is None or np.ndim(a) == 0 else a.take(rows, axis=-1)
+
+        return LightSamples(*(some(getattr(self, f.name)) for f in fields(self)))
+
+
+class SceneLights(Lights):
+    """Every light of a scene, numbered group after group.
+
+    casts_shadow : (L,) bool. any_mesh : whether one is a mesh. only_points : whether none has a size.
+    """
+
+    def __init__(self, groups: Sequence[Emitters], shader: SurfaceShader, triangles: Triangles) -> None:
+        super().__init__(groups)
+        self._shader = shader
+        self._triangles = triangles
+        self.any_mesh = any(group.is_mesh for group in groups)
+        self.only_points = all(group.is_point for group in groups)
+        counts = [len(group) for group in groups]
+        self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)
+        self._sizeless = self._of_groups("size", np.float64) == 0
+        self.casts_shadow = self._of_groups("casts_shadow", bool)
+        self._strength = np.concatenate(
+            [np.zeros((3, 0), np.float32)] + [group.strength for group in groups], axis=1
+        )
+        self._number = np.min_scalar_type(len(self))
+        self._mesh = next((group for group in groups if group.is_mesh), None)
+        self._tracer = self._varies = None
+        if self._mesh is not None:
+            self._varies = shader.varying_emission[triangles.material]
+            self._any_varies = bool(self._varies[self._mesh.row].any())
+            if not shader.lambertian:
+                self._tracer = RayTracer(triangles.vertices, triangles.indices[self._mesh.row])
+        self._has_tint = any(group.has_tint for group in groups) or bool(
+            self._mesh is not None and self._any_varies
+        )
+
+    def _of_groups(self, field: str, dtype: type) -> np.ndarray:
+        return np.concatenate([np.zeros(0, dtype)] + [getattr(group, field) for group in self.groups])
+
+    # -- sampled -----------------------------------------------------------------------------------
+
+    def sample(
+        self,
+        points: SurfacePoints,
+        cell: np.ndarray | None,
+        at: np.ndarray | None,
+        u: np.ndarray,
+        choice: LightChoice | EveryLight | None,
+        split: int,
+    ) -> LightSamples:
+        """Samples for points ``at`` (K,) (None for all in order), ``split`` in a row at each.
+
+        cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a triangle of it.
+        """
+        if len(self) == 1:
+            position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
+            # Only a mesh has a use for the third, its choice of a triangle.
+            group = self.groups[0]
+            to_light, weight = group.sample(None, position, normal, u[-1], u[:2])
+            which = np.arange(u.shape[1])
+            return LightSamples(
+                which,
+                which if at is None else at,
+                None,
+                to_light,
+                weight,
+                None,
+                group.at_infinity,
+                group.is_mesh,
+                u[-1],
+            )
+        if isinstance(choice, EveryLight):
+            count, chance = u.shape[1], None
+            order = np.tile(np.arange(count), len(self))
+            light = np.repeat(np.arange(len(self)), count)
+            w = u[-1].take(order)
+        else:
+            rows = at if at is None or split == 1 else at[::split]
+            position, normal = points.position, points.normal
+            if rows is not None and (split == 1 or len(rows) < len(points)):
+                position, normal = take(position, rows), take(normal, rows)
+                cell = None if cell is None else cell.take(rows)
+            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
+            # Side by side, samples of one light run through the same code and towards the same place.
+            order = np.argsort(light.astype(self._number), kind="stable")
+            light, chance, w = light.take(order), chance.take(order), w.take(order)
+        at = order if at is None else at.take(order)
+        position, normal = take(points.position, at), take(points.normal, at)
+        to_light, weight, at_infinity, is_mesh = self._sample_sorted(
+            light, position, normal, w, take(u[:2], order)
+        )
+        if chance is not None:
+            weight /= chance
+        return LightSamples(order, at, light, to_light, weight, chance, at_infinity, is_mesh, w)
+
+    def _sample_sorted(self, light, position, normal, w, u):
+        """Samples of lights in ascending order, kind after kind."""
+        n = len(light)
+        to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
+        at_infinity, is_mesh = np.zeros((2, n), bool)
+        cuts = np.searchsorted(light, self.first)
+        for group, start, low, high in zip(self.groups, self.first[:-1], cuts[:-1], cuts[1:], strict=True):
+            if low == high:
+                continue
+            part = slice(low, high)
+            which = light[part] - start if len(group) > 1 else None
+            to_light[:, part], weight[part] = group.sample(
+                which, position[:, part], normal[:, part], w[part], u[:, part]
+            )
+            at_infinity[part] = group.at_infinity
+            is_mesh[part] = group.is_mesh
+        if len({group.at_infinity for group in self.groups}) == 1:
+            at_infinity = self.groups[0].at_infinity
+        if len({group.is_mesh for group in self.groups}) == 1:
+            is_mesh = self.groups[0].is_mesh
+        return to_light, weight, at_infinity, is_mesh
+
+    def strength(self, points: SurfacePoints, samples: LightSamples) -> np.ndarray:
+        """(3, K) or (3, 1) strength of the lights of samples, towards their points."""
+        strength = self._strength if samples.light is None else take(self._strength, samples.light)
+        if not self._has_tint:
+            return strength
+        strength = np.array(np.broadcast_to(strength, samples.to_light.shape))
+        for group, part, which in self._parts(samples):
+            to_light = samples.to_light[:, part]
+            if group.has_tint:
+                strength[:, part] *= group.tint(which, to_light)
+            elif group.is_mesh and self._any_varies:
+                position = take(points.position, samples.at[part])
+                triangle, u, v = group.point_of(which, samples.w[part], position, to_light)
+                light = 0 if which is None else which
+                size = np.broadcast_to(group.size[light].astype(np.float32), len(triangle))
+                rows = np.flatnonzero(self._varies.take(triangle))
+                emission = self._emission(
+                    triangle.take(rows), u.take(rows), v.take(rows), take(to_light, rows)
+                )
+                strength[:, part][:, rows] = emission * size.take(rows)
+        return strength
+
+    def _emission(
+        self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, to_light: np.ndarray
+    ) -> np.ndarray:
+        """(3, K) radiance of points of triangles against ``to_light``."""
+        points = self._shader.points_on(triangle, u, v, -to_light)
+        return self._shader.emission(points, -to_light)
+
+    def _parts(self, samples: LightSamples):
+        """The groups that samples belong to, which slice of these is theirs, and their lights in it."""
+        if samples.light is None:
+            yield self.groups[0], slice(None), None
+            return
+        cuts = np.searchsorted(samples.light, self.first)
+        for group, start, low, high in zip(self.groups, self.first[:-1], cuts[:-1], cuts[1:], strict=True):
+            if low < high:
+                part = slice(low, high)
+                yield group, part, samples.light[part] - start if len(group) > 1 else None
+
+    def density(self, points: SurfacePoints, samples: LightSamples) -> np.ndarray:
+        """(K,) pdf per solid angle with which sampling takes these samples, their lights' chance included.
+
+        Infinite where a light has no size: nothing else meets it.
+        """
+        position, normal = take(points.position, samples.at), take(points.normal, samples.at)
+        density = np.empty(len(samples.at), np.float32)
+        for group, part, which in self._parts(samples):
+            to_light = samples.to_light[:, part]
+            if group.is_mesh:
+                triangle, _, _ = group.point_of(which, samples.w[part], position[:, part], to_light)
+                density[part] = group.pdf_of_triangle(triangle, position[:, part], normal[:, part], to_light)
+            else:
+                density[part] = group.pdf(which, position[:, part], normal[:, part], to_light)
+        if self._sizeless.any():
+            density[self._sizeless.take(0 if samples.light is None else samples.light)] = np.inf
+        if samples.chance is not None:
+            density *= samples.chance
+        return density
+
+    # -- met ---------------------------------------------------------------------------------------
+
+    def along(
+        self, points: SurfacePoints, at: np.ndarray, direction: np.ndarray
+    ) -> tuple[LightSamples, np.ndarray, np.ndarray]:
+        """Lights of some size that unit directions (3, K) from points ``at`` (K,) meet, as samples.
+
+        Returns the samples (J), ``which`` of them the number of the direction; their radiance (3, J); and
+        the density (J,) with which `sample` would have taken them, but for the light's chance.
+        """
+        position, normal = take(points.position, at), take(points.normal, at)
+        lanes, lights, distances, radiances, densities = [], [], [], [], []
+        for group, start in zip(self.groups, self.first[:-1], strict=True):
+            if group.is_point:
+                continue
+            if group.is_mesh:
+                found = self._mesh_along(group, position, normal, direction)
+            else:
+                found = self._group_along(group, position, normal, direction)
+            for lane, light, distance, radiance, density in found:
+                lanes.append(lane)
+                lights.append(light + start)
+                distances.append(distance)
+                radiances.append(radiance)
+                densities.append(density)
+        if not lanes:
+            lanes, lights, distances, densities = ([np.zeros(0, t)] for t in (np.intp, np.intp, "f4", "f4"))
+            radiances = [np.zeros((3, 0), np.float32)]
+        light = np.concatenate(lights)
+        order = np.argsort(light, kind="stable")
+        light, lane = light.take(order), np.concatenate(lanes).take(order)
+        to_light = take(direction, lane) * np.concatenate(distances).take(order)
+        is_mesh = light >= self.first[-2] if self._mesh is not None else False
+        samples = LightSamples(
+            lane, at.take(lane), light, to_light, None, None, self._at_infinity.take(light), is_mesh
+        )
+        return samples, take(np.concatenate(radiances, axis=1), order), np.concatenate(densities).take(order)
+
+    @staticmethod
+    def _group_along(group: Emitters, position: np.ndarray, normal: np.ndarray, direction: np.ndarray):
+        for hits in group.hits(position, direction):
+            radiance = take(group.radiance, hits.light)
+            if hits.gain is not None:
+                radiance = radiance * hits.gain
+            to_light = take(direction, hits.lane) * hits.distance
+            which = hits.light if len(group) > 1 else None
+            density = group.pdf(which, take(position, hits.lane), take(normal, hits.lane), to_light)
+            yield hits.lane, hits.light, hits.distance, radiance, density
+
+    def _mesh_along(self, group, position: np.ndarray, normal: np.ndarray, direction: np.ndarray):
+        """The first emissive triangle that each ray meets, and what is behind those that cast no shadow."""
+        ray = np.arange(position.shape[1])
+        travelled = np.zeros(len(ray), np.float32)
+        casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
+        origins = np.ascontiguousarray(position.T)
+        directions = np.ascontiguousarray(direction.T)
+        while ray.size:
+            hits = self._tracer.closest_hit(origins, directions, FAR)
+            met = np.flatnonzero(hits.triangle >= 0)
+            if met.size == 0:
+                return
+            ray, directions = ray.take(met), directions.take(met, axis=0)
+            triangle = group.row.take(hits.triangle.take(met))
+            distance = travelled.take(met) + hits.distance.take(met)
+            light = group.light_of.take(triangle)
+            to_light = take(direction, ray) * distance
+            density = group.pdf_of_triangle(triangle, take(position, ray), take(normal, ray), to_light)
+            radiance = take(group.radiance, light)
+            varies = np.flatnonzero(self._varies.take(triangle))
+            if varies.size:
+                rows = met.take(varies)
+                radiance[:, varies] = self._emission(
+                    triangle.take(varies), hits.u.take(rows), hits.v.take(rows), take(to_light, varies)
+                )
+            yield ray, light, distance, radiance, density
+            on = np.flatnonzero(~casts.take(triangle))
+            travelled = distance.take(on) + self._triangles.offset.take(triangle.take(on))
+            ray, directions = ray.take(on), directions.take(on, axis=0)
+            origins = np.ascontiguousarray((take(position, ray) + take(direction, ray) * travelled).T)

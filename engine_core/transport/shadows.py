@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of a light arrives: nothing through opaque surfaces, a part through transparent ones."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ..geometry.surfaces import SurfacePoints, Surfaces
+from ..geometry.vectors import take
+from .surface_shading import SurfaceShader
+
+
+class Towards(Protocol):
+    """Vectors (3, K) to lights from surface points ``at`` (K,)."""
+
+    at: np.ndarray
+    to_light: np.ndarray
+    at_infinity: np.ndarray | bool
+    is_mesh: np.ndarray | bool
+
+
+class Shadows:
+    """Shadow rays through a scene.
+
+    crossings : how many transparent surfaces a ray may cross; beyond, it is blocked.
+    """
+
+    def __init__(self, surfaces: Surfaces, shader: SurfaceShader, crossings: int) -> None:
+        self._surfaces = surfaces
+        self._shader = shader
+        self._most = crossings
+
+    def arriving(
+        self, points: SurfacePoints, towards: Towards, cosine: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """Which (J,) arrive at all, what part (3, J) of each (None: the whole), and the rays that it took.
+
+        cosine : (K,) of the directions to the points' shading normals.
+        """
+        origins, directions, reach = self._surfaces.shadow_rays(
+            points, towards.at, towards.to_light, cosine, towards.at_infinity, towards.is_mesh
+        )
+        arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
+        if not self._surfaces.any_transparent:
+            return arrive, None, len(origins)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
+        part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
+        some = np.flatnonzero(part.any(axis=0))
+        return arrive.take(some), take(part, some), len(origins) + rays
+
+    def _part(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, int]:
+        """(3, K) what transparent surfaces leave of the light along rays that nothing opaque blocks."""
+        part = np.ones((3, len(origins)), np.float32)
+        ray, rays = np.arange(len(origins)), 0
+        for crossing in range(self._most + 1):
+            rays += len(ray)
+            points, distance = self._surfaces.next_transparent(origins, directions, reach)
+            if len(points) == 0:
+                break
+            if points.lane is not None:
+                ray, reach, directions = (
+                    ray.take(points.lane), reach.take(points.lane), directions.take(points.lane, axis=0)
+                )  # fmt: skip
+            if crossing == self._most:
+                part[:, ray] = 0
+                break
+            part[:, ray] *= self._shader.transparency(points, -directions.T)
+            on = np.flatnonzero(part[:, ray].any(axis=0))
+            if on.size == 0:
+                break
+            origins = self._surfaces.beyond(points.take(on))
+            ray, reach, directions = ray.take(on), (reach - distance).take(on), directions.take(on, axis=0)
+        return part, rays

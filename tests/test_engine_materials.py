@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces of all kinds through the whole renderer: sampling modes agree, layers multiply, alpha is exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scenes import PATCH, area_light, blocks, box, floor, patch_camera, pictures, place, studio
+
+from engine_core import (
+    AreaLight,
+    Material,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    SunLight,
+    World,
+    render,
+)
+from engine_core.shading.closures import (
+    Add,
+    Diffuse,
+    Emission,
+    Glossy,
+    Holdout,
+    Mix,
+    Principled,
+    Translucent,
+    Transparent,
+)
+from engine_core.shading.values import Value
+
+GLOSSY = (
+    Material(surface=Glossy(0.7, 0.4)),
+    Material(
+        surface=Principled((0.2, 0.5, 0.8), metallic=0.3, roughness=0.4, coat_weight=0.5, coat_roughness=0.3)
+    ),
+    Material(0.0, 3.0),
+)
+LIGHTS = {
+    "sphere": [PointLight(100.0, position=(1, -1, 3), radius=0.5)],
+    "disk": [PointLight(100.0, position=(1, -1, 3), radius=0.5, sphere=False)],
+    "rectangle": [area_light()],
+    "ellipse": [area_light(ellipse=True)],
+    "grid": [area_light(spread=1.0)],
+    "spot": [SpotLight(300.0, light_to_world=place((0, -1, 4)), radius=0.4, angle=1.0, blend=0.3)],
+    "sun": [SunLight(3.0, direction=(0.3, 0.2, -1), angle=0.3)],
+    "world": [],
+    "mesh": [],
+    "two": [PointLight(40.0, position=(1, -1, 3), radius=0.5), area_light(50.0)],
+}
+
+
+def glossy_studio(name: str) -> Scene:
+    scene = studio(
+        32, 32, LIGHTS[name], world=World(0.5 if name == "world" else 0.0, visible_to_camera=False)
+    )
+    meshes = scene.meshes
+    if name == "mesh":
+        lamp = box((-0.3, -1, 2.5), (0.3, -0.5, 2.6), materials=2, visible_to_camera=False)
+        meshes = (*meshes, lamp)
+    return replace(scene, meshes=meshes, materials=GLOSSY)
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_lights_and_lobes_alone_and_together_converge_to_one_picture(name):
+    scene = glossy_studio(name)
+    ways = (
+        {"samples": 16, "integrator": "control_variates"},
+        {"samples": 16, "integrator": "sobol"},
+        {"samples": 64, "integrator": "sobol", "direct_sampling": "light"},
+        {"samples": 256, "integrator": "sobol", "direct_sampling": "bsdf"},
+    )
+    estimates = [blocks(pictures(scene, 12, **way)).mean(axis=-1) for way in ways]
+    means = [e.mean(axis=(0, 1, 2)) for e in estimates]
+    errors = [e.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(len(e)) for e in estimates]
+    for mean, error in zip(means, errors, strict=True):
+        assert abs(mean - means[1]) < 4 * np.hypot(error, errors[1]) + 1e-4 * mean
+    # The heavy tails of lobes that are sampled alone hide in single blocks.
+    by_block = [(e.mean(axis=0), e.std(axis=0, ddof=1) / np.sqrt(len(e))) for e in estimates[:2]]
+    (a, da), (b, db) = by_block
+    assert (np.abs(a - b) < 5 * np.sqrt(da**2 + db**2) + 1e-3 * b).all()
+
+
+def seen(closure, *lights, above=(), world=0.0, samples=64, **settings) -> np.ndarray:
+    """(4,) mean of a small patch of floor of a closure, with further meshes (z, closure) over it."""
+    materials = [Material(surface=closure)] + [Material(surface=c) for _, c in above]
+    meshes = [floor()] + [floor(5.0, z, materials=i + 1) for i, (z, _) in enumerate(above)]
+    camera = patch_camera()
+    matrix = camera.camera_to_world.copy()
+    matrix[2, 3] = 4
+    scene = Scene(replace(camera, camera_to_world=matrix), meshes, materials, lights, World(world))
+    film = render(scene, Settings(samples=samples, integrator="sobol", **settings))
+    return film.combined.reshape(-1, 4).mean(axis=0)
+
+
+OVERHEAD = SunLight(1.0, direction=(0, 0, -1))
+
+
+@pytest.mark.parametrize("sheets", [1, 2, 5])
+def test_sheets_of_glass_dim_the_view_and_the_light(sheets):
+    above = [(0.5 + 0.5 * i, Transparent((0.9, 0.5, 0.2))) for i in range(sheets)]
+    got = seen(Diffuse(0.8), OVERHEAD, above=above)
+    wanted = 0.8 / np.pi * np.array([0.9, 0.5, 0.2]) ** (2 * sheets)
+    assert np.allclose(got[:3], wanted, rtol=1e-5) and got[3] == pytest.approx(1, abs=1e-6)
+
+
+def test_no_more_sheets_are_crossed_than_allowed():
+    above = [(0.5 + 0.25 * i, Transparent(1.0)) for i in range(3)]
+    assert seen(Diffuse(0.8), OVERHEAD, above=above, transparent_bounces=3)[0] > 0
+    assert seen(Diffuse(0.8), OVERHEAD, above=above, transparent_bounces=2)[0] == 0
+
+
+def test_half_transparent_emitters_add_along_the_view():
+    half = Mix(0.25, Transparent(1.0), Emission((1.0, 2.0, 3.0), 2.0))
+    got = seen(Emission(1.0, 10.0), above=[(1, half), (2, half)])
+    own = np.array([2.0, 4.0, 6.0]) * 0.25
+    assert np.allclose(got[:3], own + 0.75 * (own + 0.75 * 10), rtol=1e-6)
+
+
+def test_alpha_is_what_is_not_transparent():
+    half = Principled(0.0, alpha=0.25, specular_ior_level=0.0)
+    scene = Scene(patch_camera(), [floor()], [Material(surface=half)], (), World(1.0))
+    film = render(scene, Settings(samples=4, transparent=True))
+    assert np.allclose(film.combined, (0, 0, 0, 0.25), atol=1e-6)
+
+
+def test_a_holdout_shader_cuts_alpha():
+    got = seen(Holdout(), OVERHEAD)
+    assert np.array_equal(got, (0, 0, 0, 0))
+    assert seen(Mix(0.25, Diffuse(0.8), Holdout()), OVERHEAD)[3] == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("closure", [Translucent(0.6), Add(Translucent(0.6), Diffuse(0.3))])
+def test_translucent_sheets_glow_from_behind(closure):
+    from_below = SunLight(2.0, direction=(0, 0, 1), angle=0.2)
+    got = seen(closure, from_below)
+    assert np.allclose(got[:3], 0.6 * 2 / np.pi, rtol=1e-3)
+    below = seen(Translucent(0.6), PointLight(100.0, position=PATCH - (0, 0, 2), radius=0.5))
+    assert np.allclose(below[:3], 0.6 / np.pi * 100 / (4 * np.pi * 4), rtol=3e-3)
+
+
+def test_translucent_and_diffuse_see_both_halves_of_the_sky():
+    got = seen(Add(Translucent(0.3), Diffuse(0.5)), world=1.0, samples=256)
+    assert np.allclose(got[:3], 0.8, rtol=2e-3)
+
+
+def test_mirrors_show_no_light_without_size():
+    assert seen(Glossy(1.0, 0.0), OVERHEAD)[0] == 0
+    shown = seen(Glossy(1.0, 0.0), SunLight(1.0, direction=(0, 0, -1), angle=0.01))
+    assert shown[0] == pytest.approx(1 / (np.pi * np.sin(0.005) ** 2), rel=0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class Stripes(Value):
+    """1 and 0 in turn along X, a unit each."""
+
+    def evaluate(self, points):
+        return (np.floor(points.position[0]) % 2 == 0).astype(np.float32)
+
+
+@pytest.mark.parametrize("direct_sampling", ["mis", "light"])
+@pytest.mark.parametrize("rough", [True, False])
+def test_an_emissive_texture_lights_as_much_as_its_parts(rough, direct_sampling):
+    ground = Material(surface=Diffuse(0.8) if rough else Glossy(0.8, 0.5))
+    camera = studio(24, 24).camera
+    settings = {"samples": 64, "integrator": "sobol", "direct_sampling": direct_sampling}
+
+    def lit_by(*lamps):
+        scene = Scene(
+            camera,
+            (floor(), *(mesh for mesh, _ in lamps)),
+            (ground, *(material for _, material in lamps)),
+        )
+        estimates = pictures(scene, 8, **settings)[..., :3].mean(axis=(1, 2, 3))
+        return estimates.mean(), estimates.std(ddof=1) / np.sqrt(8)
+
+    def lamp(low, high, material):
+        return box((low, -1, 2.5), (high, 1, 2.6), materials=material, visible_to_camera=False)
+
+    textured = lit_by((lamp(0, 4, 1), Material(surface=Emission(1.0, Stripes()))))
+    plain = lit_by(
+        *((lamp(x, x + 1, 1 + i), Material(0.0, 1.0)) for i, x in enumerate((0, 2))),
+    )
+    # The striped box has neither the ends of the two that it stands for, nor an end at X = 4.
+    assert textured[0] == pytest.approx(plain[0], rel=0.12)
+    assert textured[1] < 0.01 * textured[0]
+
+
+def test_a_normal_map_tilts_what_is_lit():
+    tilted = np.array([np.sin(0.5), 0, np.cos(0.5)], np.float32)
+    got = seen(Diffuse(0.8, normal=tuple(tilted)), SunLight(1.0, direction=tuple(-tilted)))
+    # The light stands on the bent normal; the bump terminator takes a little.
+    assert 0.9 * 0.8 / np.pi < got[0] <= 0.8 / np.pi
+
+
+def test_area_lights_shine_through_glass():
+    glass = [(1.5, Transparent((0.5, 0.5, 0.5)))]
+    light = AreaLight(10.0, light_to_world=place((0, 0, 3)), size=(1, 1))
+    clear, dim = seen(Diffuse(0.8), light), seen(Diffuse(0.8), light, above=glass)
+    assert np.allclose(dim[:3], 0.25 * clear[:3], rtol=1e-3)

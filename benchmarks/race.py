@@ -3,7 +3,8 @@
 
 Every engine is measured against its own converged picture, so that a difference between the engines
 counts for none of them. Time is what a user waits for: export, rendering and a written EXR (for
-Mitsuba, which is handed a loaded scene, the last two). The first render of a process counts apart.
+Mitsuba, which is handed a loaded scene, the last two). The first render of a scene counts apart.
+What is dear and does not change (converged pictures, and Cycles' long runs) is kept between races.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ import dev
 
 bpy = dev.open_this_blender()
 
-from example_blends.build import SCENES  # noqa: E402
+from example_blends.build import SCENES, build  # noqa: E402
 
 from .engines.blender import (  # noqa: E402
+    CV_RENDER,
     CYCLES,
+    CYCLES_ADAPTIVE,
     CYCLES_WITHOUT_TREE,
     INTEGRATORS,
     read_picture,
@@ -37,14 +40,25 @@ from .engines.blender import (  # noqa: E402
 from .engines.mitsuba import Mitsuba, Unavailable  # noqa: E402
 
 TARGET_SAMPLES = 64
-"""The error to reach is the one that Cycles has with so many."""
+"""The errors to reach are the one that Cycles has with so many, and a third of it."""
+ADAPTIVE_SAMPLES = 1024
+"""That Cycles' adaptive sampling may spend on a pixel."""
+PIXELS_OF_SQUARE = 256 * 256
+RACED = (
+    "soft_shadow", "mixed_lights", "many_lights", "interior", "slats", "studio_spheres", "veach_plates",
+    "violin", "dragon",
+)  # fmt: skip
 SCRATCH = dev.PRIVATE / "race"
 DOCUMENT = dev.ROOT / "docs" / "benchmarks.md"
 MARKS = ("<!-- race: begin -->", "<!-- race: end -->")
 
+METRICS = ("all", "dim")
+"""Errors over all pixels, and over those that are not among the brightest."""
+
 
 class Engine(Protocol):
     name: str
+    family: str
 
     def render(self, samples: int, seed: int, path: Path) -> float: ...
 
@@ -53,147 +67,275 @@ class Engine(Protocol):
 class Reference:
     """A converged picture, from two halves of different seeds.
 
-    picture : (H, W, 3). noise : mean square error that the picture has itself.
+    halves : two of (H, W, 3). dim : (H, W) bool, pixels that are not among the brightest.
     """
 
-    picture: np.ndarray
-    noise: float
+    halves: tuple[np.ndarray, np.ndarray]
+    dim: np.ndarray
 
-    def relative_error(self, picture: np.ndarray) -> float:
-        """RMSE over pixels and colours, relative to the mean; the reference's own noise taken off."""
-        square = np.mean((picture - self.picture) ** 2) - self.noise
-        return float(np.sqrt(max(square, 0.0)) / self.picture.mean())
+    @classmethod
+    def of(cls, halves: Sequence[np.ndarray], brightest: int) -> Reference:
+        """brightest : how many pixels, of 256 x 256, are left out of the second metric."""
+        brightness = sum(halves).sum(axis=-1)
+        count = brightest * brightness.size // PIXELS_OF_SQUARE
+        limit = np.partition(brightness.ravel(), -count - 1)[-count - 1]
+        return cls(tuple(halves), brightness <= limit)
+
+    @property
+    def picture(self) -> np.ndarray:
+        return (self.halves[0] + self.halves[1]) / 2
+
+    def errors(self, picture: np.ndarray) -> dict[str, float]:
+        """RMSE over pixels and colours relative to the mean; the reference's own noise taken off."""
+        noise = (self.halves[0] - self.halves[1]) ** 2 / 4
+        return self._relative((picture - self.picture) ** 2 - noise)
+
+    def own_errors(self) -> dict[str, float]:
+        """Those of one half, by its difference to the other."""
+        return self._relative((self.halves[0] - self.halves[1]) ** 2 / 2)
+
+    def _relative(self, square: np.ndarray) -> dict[str, float]:
+        mean = self.picture.mean()
+        means = square.mean(), square[self.dim].mean()
+        return {
+            name: float(np.sqrt(max(value, 0)) / mean) for name, value in zip(METRICS, means, strict=True)
+        }
 
 
 @dataclass
 class Curve:
     """What one engine needs for what error, in one scene at one size.
 
-    seconds, errors : by number of samples, one entry a repeat.
-    first : seconds of the process's first render of the scene, at the fewest samples.
+    seconds, errors : by number of samples, one entry a repeat; errors by metric.
+    first, second : seconds of the first two renders of the scene, at the fewest samples.
     """
 
     engine: str
     first: float = 0.0
+    second: float = 0.0
     seconds: dict[int, list[float]] = field(default_factory=dict)
-    errors: dict[int, list[float]] = field(default_factory=dict)
+    errors: dict[int, list[dict[str, float]]] = field(default_factory=dict)
 
-    def add(self, samples: int, seconds: float, error: float) -> None:
+    def add(self, samples: int, seconds: float, errors: dict[str, float]) -> None:
         self.seconds.setdefault(samples, []).append(seconds)
-        self.errors.setdefault(samples, []).append(error)
+        self.errors.setdefault(samples, []).append(errors)
 
-    def at(self, samples: int) -> tuple[float, float]:
+    def at(self, samples: int, metric: str = "all") -> tuple[float, float]:
         """The fastest seconds (other work on the machine only adds), and root mean square error."""
-        error = np.sqrt(np.mean(np.square(self.errors[samples])))
-        return min(self.seconds[samples]), float(error)
+        errors = [errors[metric] for errors in self.errors[samples]]
+        return min(self.seconds[samples]), float(np.sqrt(np.mean(np.square(errors))))
 
-    def time_to(self, error: float) -> float | None:
-        """Seconds to reach ``error``, between the sample counts on either side; None beyond them.
+    def _points(self, metric: str) -> tuple[np.ndarray, np.ndarray]:
+        """log seconds and log errors of what pays: no point is both slower and worse than another."""
+        kept: list[tuple[float, float]] = []
+        for seconds, error in sorted(self.at(samples, metric) for samples in self.seconds):
+            if error > 0 and (not kept or error < kept[-1][1]):
+                kept.append((seconds, error))
+        seconds, errors = np.log(np.array(kept)).T
+        return seconds, errors
 
-        From a single count it follows the fall of N^-3/4 that nets have at edges.
+    def time_to(self, error: float, metric: str = "all") -> tuple[float, bool] | None:
+        """Seconds to reach ``error``, and whether they lie within what was measured.
+
+        Between two points as a power of time. Beyond the last by the slope before it (a single one: by
+        N^-3/4, the fall of nets at edges); before the first the first, which is all that can be had.
         """
-        seconds, errors = np.array([self.at(samples) for samples in sorted(self.seconds)]).T
-        if len(seconds) == 1:
-            return float(seconds[0] * (errors[0] / error) ** (4 / 3))
-        if not errors.min() <= error <= errors.max():
+        seconds, errors = self._points(metric)
+        goal = np.log(error)
+        if goal >= errors[0]:
+            return float(np.exp(seconds[0])), True
+        if goal >= errors[-1]:
+            return float(np.exp(np.interp(-goal, -errors, seconds))), True
+        slope = -0.75
+        if len(errors) > 1:
+            slope = np.clip((errors[-1] - errors[-2]) / (seconds[-1] - seconds[-2]), -1, -0.25)
+        return float(np.exp(seconds[-1] + (goal - errors[-1]) / slope)), False
+
+    def error_after(self, time: float) -> float | None:
+        """The error that so many seconds buy; None if no picture is done by then."""
+        seconds, errors = self._points("all")
+        if np.log(time) < seconds[0]:
             return None
-        return float(np.exp(np.interp(-np.log(error), -np.log(errors), np.log(seconds))))
+        return float(np.exp(np.interp(np.log(time), seconds, errors)))
 
 
-def reference(engine: Engine, key: str, samples: int, folder: Path) -> Reference:
-    """The engine's converged picture, from the folder if it was made before."""
-    halves = []
-    for seed in (1001, 2002):
-        name = engine.name.split(",")[0].split("(")[0].strip().lower().replace(" ", "_")
-        path = folder / f"{key}-{name}-{samples}-{seed}.exr"
-        if not path.exists():
+# Running
+
+
+@dataclass
+class Race:
+    """One scene at one size, open in Blender; ``key`` names what is kept of it."""
+
+    key: str
+    width: int
+    height: int
+    options: argparse.Namespace
+
+    @property
+    def pixels(self) -> int:
+        return self.width * self.height
+
+    @property
+    def picture(self) -> Path:
+        return self.options.scratch / "picture.exr"
+
+    def kept(self, engine: Engine, samples: int, seed: int) -> tuple[np.ndarray, float]:
+        """A picture that was made before, or is made now, and how many times as long it took as with
+        `TARGET_SAMPLES`: that much of its time is still true when the machine is busier."""
+        name = engine.name if engine in (CYCLES_WITHOUT_TREE, CYCLES_ADAPTIVE) else engine.family
+        name = "".join(c if c.isalnum() else "_" for c in name).lower()
+        path = self.options.scratch / f"{self.key}-{name}-{samples}-{seed}.exr"
+        record = path.with_suffix(".json")
+        if not record.exists() or not path.exists() or (self.options.anew and engine.family == "cv_render"):
+            once = CYCLES.render(TARGET_SAMPLES, seed, self.picture) if engine.family == "cycles" else 1.0
             part = path.with_suffix(".part.exr")
-            engine.render(samples, seed, part)
+            seconds = engine.render(samples, seed, part)
             os.replace(part, path)
-        halves.append(read_picture(path))
-    return Reference((halves[0] + halves[1]) / 2, float(np.mean((halves[0] - halves[1]) ** 2) / 4))
+            record.write_text(json.dumps({"seconds": seconds, "times": seconds / once}), "utf-8")
+        return read_picture(path), json.loads(record.read_text("utf-8"))["times"]
 
+    def reference(self, engine: Engine, samples: int) -> tuple[Reference, float]:
+        halves, times = zip(*(self.kept(engine, samples, seed) for seed in (1001, 2002)), strict=True)
+        return Reference.of(halves, self.options.without_brightest), min(times)
 
-def entrants(folder: Path, mitsuba_python: str, integrators: Sequence[str]) -> list[Engine]:
-    """The engines that can render the open scene; says why one can't."""
-    engines: list[Engine] = [CYCLES, CYCLES_WITHOUT_TREE, *(INTEGRATORS[name] for name in integrators)]
-    try:
-        engines.append(Mitsuba(mitsuba_python, folder))
-    except Unavailable as reason:
-        print(f"  Mitsuba is left out: {reason}")
-    return engines
+    def entrants(self) -> list[Engine]:
+        """The engines that can render the open scene; says why one can't."""
+        engines: list[Engine] = [CYCLES, CYCLES_WITHOUT_TREE]
+        engines += [INTEGRATORS[name] for name in self.options.integrators] or [CV_RENDER]
+        if self.options.mitsuba:
+            try:
+                engines.append(Mitsuba(self.options.mitsuba_python, self.options.scratch))
+            except Unavailable as reason:
+                print(f"  Mitsuba is left out: {reason}")
+        return engines
 
+    def sample_counts(self, engine: Engine) -> Sequence[int]:
+        if engine.family == "cycles":
+            return (4, TARGET_SAMPLES)
+        return Mitsuba.sample_counts if isinstance(engine, Mitsuba) else self.options.samples
 
-def sample_counts(engine: Engine, options: argparse.Namespace) -> Sequence[int]:
-    if engine in (CYCLES, CYCLES_WITHOUT_TREE):
-        return [TARGET_SAMPLES]
-    return Mitsuba.sample_counts if isinstance(engine, Mitsuba) else options.samples
-
-
-def race(blend: Path, size: int, options: argparse.Namespace) -> dict[str, object]:
-    """Curves of every engine for one scene, the engines taking turns within each repeat."""
-    bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False)
-    set_output(size, size)
-    digest = hashlib.sha256(blend.read_bytes()).hexdigest()[:8]
-    key = f"{blend.stem}-{digest}-{bpy.app.version[0]}.{bpy.app.version[1]}-{size}"
-    picture = options.scratch / "picture.exr"
-    engines = entrants(options.scratch, options.mitsuba_python, options.integrators)
-    curves, references = {}, {}
-    for engine in engines:
-        curves[engine.name] = Curve(engine.name, engine.render(min(options.samples), 1, picture))
-        samples = options.reference_samples or converged(size)
-        references[engine.name] = reference(engine, key, samples, options.scratch)
-    for repeat in range(options.repeats):
-        goal = np.inf
+    def run(self) -> tuple[dict[str, Curve], dict[str, Reference]]:
+        """Curves of all engines, which take turns within each repeat, and references by family."""
+        engines = self.entrants()
+        samples = self.options.reference_samples or max(256, (1 << 25) // self.pixels)
+        curves, references, times = {}, {}, {}
         for engine in engines:
-            for samples in sample_counts(engine, options):
-                seconds = engine.render(samples, 10 + repeat, picture)
-                error = references[engine.name].relative_error(read_picture(picture))
-                curves[engine.name].add(samples, seconds, error)
-                print(f"  {engine.name:22} {samples:4} samples {seconds:8.3f} s  error {error:.5f}")
-                if samples >= TARGET_SAMPLES and error < 0.8 * goal:
-                    break  # the curve has passed all that is asked of it
-            if engine in (CYCLES, CYCLES_WITHOUT_TREE):
-                goal = min(goal, error)
-    for engine in engines:
-        if isinstance(engine, Mitsuba):
-            engine.close()
-    truth = references[CYCLES.name].picture.mean()
+            fewest = min(self.sample_counts(engine))
+            curve = curves[engine.name] = Curve(engine.name)
+            curve.first, curve.second = (engine.render(fewest, seed, self.picture) for seed in (1, 2))
+            if engine.family not in references:
+                by = INTEGRATORS["sobol"] if engine.family == "cv_render" else engine
+                references[engine.family], times[engine.family] = self.reference(by, samples)
+        for repeat in range(self.options.repeats):
+            for engine in engines:
+                self._measure(engine, curves, references[engine.family], 10 + repeat)
+        self._long_runs(curves, references["cycles"], samples, times["cycles"])
+        for engine in engines:
+            if isinstance(engine, Mitsuba):
+                engine.close()
+        return curves, references
+
+    def _measure(self, engine: Engine, curves: dict[str, Curve], reference: Reference, seed: int) -> None:
+        """One repeat of one engine, up to a third of Cycles' error or as long as it is not hopeless."""
+        cycles = curves[CYCLES.name]
+        for samples in self.sample_counts(engine):
+            if isinstance(engine, Mitsuba) and samples not in curves[engine.name].seconds:
+                engine.render(samples, seed, self.picture)  # compiles its kernels: warm from now on
+            seconds = engine.render(samples, seed, self.picture)
+            errors = reference.errors(read_picture(self.picture))
+            curves[engine.name].add(samples, seconds, errors)
+            print(f"  {engine.name:28} {samples:4} samples {seconds:8.3f} s  error {errors['all']:.5f}"
+                  f"  without the brightest {errors['dim']:.5f}")  # fmt: skip
+            if engine.family == "cycles":
+                continue
+            time, _ = cycles.at(TARGET_SAMPLES)
+            done = all(errors[metric] < 0.9 / 3 * cycles.at(TARGET_SAMPLES, metric)[1] for metric in METRICS)
+            if done or seconds > 4 * time:
+                break
+
+    def _long_runs(self, curves: dict[str, Curve], reference: Reference, samples: int, times: float) -> None:
+        """Cycles' converged halves are points of its curve; its other settings run as long once."""
+        seconds, _ = curves[CYCLES.name].at(TARGET_SAMPLES)
+        curves[CYCLES.name].add(samples, times * seconds, reference.own_errors())
+        others = [(CYCLES_WITHOUT_TREE, samples), (CYCLES_ADAPTIVE, ADAPTIVE_SAMPLES)]
+        for engine, count in others[: 2 if self.options.adaptive else 1]:
+            picture, times = self.kept(engine, count, 10)
+            curve = curves.setdefault(engine.name, Curve(engine.name))
+            curve.add(count, times * seconds, reference.errors(picture))
+
+
+def race(blend: Path, size: tuple[int, int], options: argparse.Namespace) -> dict[str, object]:
+    """All that was measured of one scene at one size."""
+    bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False)
+    set_output(*size)
+    digest = hashlib.sha256(blend.read_bytes()).hexdigest()[:8]
+    version = "{}.{}".format(*bpy.app.version)
+    key = f"{blend.stem}-{digest}-{version}-{size[0]}x{size[1]}"
+    curves, references = Race(key, *size, options).run()
+    truth = references["cycles"].picture
+    agreement = {
+        family: (float(found.picture.mean() / truth.mean()), found.errors(truth)["all"])
+        for family, found in references.items()
+        if family != "cycles"
+    }
+    for family, (mean, difference) in agreement.items():
+        print(f"  {family}: mean {mean:.5f} of Cycles', relative RMS difference {difference:.5f}")
+    where = f"{blend.stem}, {size[0]} x {size[1]}"
     return {
         "scene": blend.stem,
         "size": size,
         "curves": [asdict(curve) for curve in curves.values()],
-        "mean ratio to Cycles": {name: float(r.picture.mean() / truth) for name, r in references.items()},
-        "table": [row(blend.stem, size, curve, curves) for curve in curves.values()],
+        "mean and RMS difference to Cycles": agreement,
+        "ratios": [ratios(where, curve, curves[CYCLES.name]) for curve in curves.values()],
+        "absolute": [absolute(where, curve, size[0] * size[1]) for curve in curves.values()],
     }
 
 
-def converged(size: int) -> int:
-    """Samples of half a reference: 2^26 a picture, but at least 128 a pixel."""
-    return max(128, (1 << 26) // size**2)
+# Tables
 
 
-def row(scene: str, size: int, curve: Curve, curves: dict[str, Curve]) -> list[str]:
-    """The cells of one engine: what it does at Cycles' number of samples, and its time to Cycles' errors."""
+def ratios(where: str, curve: Curve, cycles: Curve) -> list[str]:
+    """How many times as fast as Cycles an engine reaches Cycles' errors."""
+    cells = [where, curve.engine]
+    for metric in METRICS:
+        goal = cycles.at(TARGET_SAMPLES, metric)[1]
+        for part in (1, 3):
+            if not goal > 0:
+                cells.append("")
+                continue
+            (time, sure), (rival, rival_sure) = (c.time_to(goal / part, metric) for c in (curve, cycles))
+            mark = "" if sure and rival_sure else "~"
+            cells.append(f"{mark}{time:.2f} s: **{mark}{rival / time:.1f} x**")
+    return cells
+
+
+RATIOS = (
+    "scene", "engine", "to Cycles' error at 64 samples", "to a third of it",
+    "to its error without the brightest pixels", "to a third of that",
+)  # fmt: skip
+
+
+def absolute(where: str, curve: Curve, pixels: int) -> list[str]:
     samples = TARGET_SAMPLES if TARGET_SAMPLES in curve.seconds else max(curve.seconds)
     seconds, error = curve.at(samples)
-    rate = samples * size**2 / seconds / 1e6
-    shown = f"{error:.4f}" if samples == TARGET_SAMPLES else f"{error:.4f} ({samples} samples)"
-    cells = [scene, f"{size} x {size}", curve.engine, shown, f"{seconds:.2f}", f"{rate:.1f}"]
-    for rival in (CYCLES, CYCLES_WITHOUT_TREE):
-        time, goal = curves[rival.name].at(TARGET_SAMPLES)
-        needed = curve.time_to(goal)
-        cells.append(f"{needed:.2f}: **{time / needed:.1f} x**" if needed else "outside the curve")
-    return [*cells, f"{curve.first:.2f}"]
+    rate = samples * pixels / seconds / 1e6
+    (time, sure), after = curve.time_to(0.0025), curve.error_after(1.0)
+    return [
+        where, curve.engine, f"{error:.4f} ({samples})", f"{seconds:.2f}",
+        "" if curve.engine == CYCLES_ADAPTIVE.name else f"{rate:.1f}",
+        f"{'' if sure else '~'}{time:.2f}", f"{after:.4f}" if after is not None else "no picture yet",
+        f"{curve.first:.2f} / {curve.second:.2f}" if curve.first else "",
+    ]  # fmt: skip
 
 
-def table(results: Iterable[dict[str, object]]) -> str:
-    head = (
-        "scene", "size", "engine", f"error at {TARGET_SAMPLES} samples", "seconds", "Msamples/s",
-        "seconds to Cycles' error: times as fast", "to that without light tree", "first render, s",
-    )  # fmt: skip
-    lines = [head, ["---"] * len(head), *(cells for result in results for cells in result["table"])]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+ABSOLUTE = (
+    "scene", "engine", "error (samples)", "seconds", "Msamples/s", "seconds to 0.0025", "error after 1 s",
+    "first / second render, s",
+)  # fmt: skip
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows))
 
 
 def machine() -> str:
@@ -206,6 +348,17 @@ def machine() -> str:
     return f"Blender {blender}, Python {python}, {os.cpu_count()} processors ({cpu})"
 
 
+def report(results: Sequence[dict[str, object]], options: argparse.Namespace) -> str:
+    tables = [
+        table(head, (row for result in results for row in result[key]))
+        for head, key in ((RATIOS, "ratios"), (ABSOLUTE, "absolute"))
+    ]
+    head = (
+        f"{machine()}; the fastest of {options.repeats} renders each, of different seeds; ~ is extrapolated."
+    )
+    return "\n\n".join([head, *tables])
+
+
 def write_document(text: str) -> None:
     """Put ``text`` between the marks of docs/benchmarks.md."""
     document = DOCUMENT.read_text("utf-8")
@@ -213,22 +366,62 @@ def write_document(text: str) -> None:
     DOCUMENT.write_text(f"{before}{MARKS[0]}\n{text}\n{MARKS[1]}{rest.split(MARKS[1])[1]}", "utf-8")
 
 
+# The command
+
+
+def size(text: str) -> tuple[int, int]:
+    """1280x720, or 256 for a square."""
+    width, _, height = text.partition("x")
+    return int(width), int(height or width)
+
+
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="dev.py bench race", description=__doc__.partition("\n")[0])
-    parser.add_argument("--scenes", nargs="+", default=["soft_shadow", "mixed_lights"], metavar="NAME",
-                        help=f"{', '.join(SCENES)}, or paths of .blend files")  # fmt: skip
-    parser.add_argument("--sizes", nargs="+", type=int, default=[256, 1024], metavar="PIXELS")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--samples", nargs="+", type=int, default=[2, 4, 8, 16, 32, 64, 128], metavar="N",
-                        help="of CV Render (Cycles has 64)")  # fmt: skip
-    parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, metavar="NAME",
-                        default=["control_variates", "sobol"],
-                        help=f"of CV Render: {', '.join(INTEGRATORS)}")  # fmt: skip
-    parser.add_argument("--reference-samples", type=int, metavar="N", help="of half a reference")
-    parser.add_argument("--scratch", type=Path, default=SCRATCH, help="keeps references and results")
-    parser.add_argument("--mitsuba-python", default=sys.executable, metavar="PYTHON")
-    parser.add_argument("--write", action="store_true", help="also into docs/benchmarks.md")
-    return parser.parse_args(arguments)
+    add = parser.add_argument
+    add("--scenes", nargs="+", default=RACED, metavar="NAME", help=f"{', '.join(RACED)}, or .blend files")
+    add("--sizes", nargs="+", type=size, metavar="WxH", help="1280x720 256x256")
+    add("--repeats", type=int, metavar="N", help="3")
+    add("--samples", nargs="+", type=int, metavar="N", default=[1 << k for k in range(10)],
+        help="of CV Render, which stops at a third of Cycles' error")  # fmt: skip
+    add("--integrators", nargs="+", choices=INTEGRATORS, metavar="NAME", default=[],
+        help=f"of CV Render, instead of its own choice: {', '.join(INTEGRATORS)}")  # fmt: skip
+    add("--reference-samples", type=int, metavar="N", help="of half a converged picture")
+    add("--without-brightest", type=int, metavar="N", default=100,
+        help="pixels, of each 256 x 256, that the second metric leaves out (100)")  # fmt: skip
+    add("--no-adaptive", dest="adaptive", action="store_false", help="leave out Cycles' adaptive sampling")
+    add("--no-mitsuba", dest="mitsuba", action="store_false")
+    add("--anew", action="store_true", help="CV Render's converged pictures again: its pictures have changed")
+    add("--quick", action="store_true", help="one repeat at 320x180, short references, Cycles as it comes")
+    add("--assets", type=Path, default=os.environ.get("CV_RENDER_ASSETS"), metavar="FOLDER",
+        help="has the dragon's mesh (else: the environment's CV_RENDER_ASSETS)")  # fmt: skip
+    add("--scratch", type=Path, default=SCRATCH, help="keeps references and results")
+    add("--mitsuba-python", default=sys.executable, metavar="PYTHON")
+    add("--write", action="store_true", help="also into docs/benchmarks.md")
+    options = parser.parse_args(arguments)
+    options.sizes = options.sizes or ([(320, 180)] if options.quick else [(1280, 720), (256, 256)])
+    options.repeats = options.repeats or (1 if options.quick else 3)
+    if options.quick:
+        options.adaptive = False
+        options.reference_samples = options.reference_samples or 256
+    return options
+
+
+def blend_of(name: str, options: argparse.Namespace) -> Path | None:
+    """The file of a scene; the dragon's is made where its mesh is at hand, and not part of the project."""
+    if name.endswith(".blend"):
+        return Path(name).resolve()
+    if name in SCENES:
+        return dev.ROOT / "example_blends" / f"{name}.blend"
+    from example_blends.dragon import MESH
+
+    if options.assets is None or not (Path(options.assets) / MESH).is_file():
+        print(f"{name} is left out: --assets FOLDER with {MESH} is missing")
+        return None
+    path = (options.scratch / f"{name}.blend").resolve()
+    if not path.exists():
+        build(name, Path(options.assets))
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
+    return path
 
 
 def main() -> None:
@@ -236,15 +429,13 @@ def main() -> None:
     options.scratch.mkdir(parents=True, exist_ok=True)
     results = []
     for name in options.scenes:
-        blend = Path(name) if name.endswith(".blend") else dev.ROOT / "example_blends" / f"{name}.blend"
-        for size in options.sizes:
-            print(f"{blend.stem}, {size} x {size}")
-            results.append(race(blend.resolve(), size, options))
-    record = {"machine": machine(), "results": results}
-    (options.scratch / "race.json").write_text(json.dumps(record, indent=1), "utf-8")
-    text = (
-        f"{machine()}; the fastest of {options.repeats} renders each, of different seeds.\n\n{table(results)}"
-    )
+        blend = blend_of(name, options)
+        for shape in options.sizes if blend else ():
+            print(f"{blend.stem}, {shape[0]} x {shape[1]}")
+            results.append(race(blend, shape, options))
+            record = {"machine": machine(), "results": results}
+            (options.scratch / "race.json").write_text(json.dumps(record, indent=1), "utf-8")
+    text = report(results, options)
     print(f"\n{text}\n\nThe whole curves: {options.scratch / 'race.json'}")
     if options.write:
         write_document(text)

@@ -14,27 +14,39 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-SCENES = ("soft_shadow", "mixed_lights", "many_lights", "instances", "interior")
+SCENES = (
+    "soft_shadow", "mixed_lights", "many_lights", "instances", "interior", "slats", "studio_spheres",
+    "veach_plates", "violin",
+)  # fmt: skip
 
 sys.path.insert(0, str(FOLDER.parent))
 
 
-def build(name: str) -> None:
-    """Leave the example ``name`` as bpy's open file."""
-    importlib.import_module(f"example_blends.{name}").build()
+def build(name: str, *arguments: Path) -> None:
+    """Leave the example ``name`` as bpy's open file; ``arguments`` are what its model takes."""
+    example = importlib.import_module(f"example_blends.{name}")
+    if hasattr(example, "model"):
+        from example_blends.studio import build_model
+
+        build_model(example.model(*arguments))
+    else:
+        example.build()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", default=SCENES, metavar="name", help=", ".join(SCENES))
     parser.add_argument("--into", type=Path, default=FOLDER, help="folder of the .blend files")
+    parser.add_argument("--assets", type=Path, metavar="FOLDER", help="has the mesh of `dragon`")
     options = parser.parse_args()
+    if "dragon" in options.names and options.assets is None:
+        parser.error("dragon needs --assets FOLDER: its mesh is no part of the project")
 
     import bpy
 
     bpy.context.preferences.filepaths.save_version = 0
     for name in options.names:
-        build(name)
+        build(name, *([options.assets] if name == "dragon" else []))
         path = (options.into / f"{name}.blend").resolve()
         bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
         print(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB")

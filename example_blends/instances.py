@@ -6,7 +6,7 @@ import math
 import bpy
 import numpy as np
 
-from . import studio
+from . import shapes, studio
 
 SEEDS, PETALS, TUFTS = 9000, 89, 911
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
@@ -75,7 +75,7 @@ def petals() -> None:
     # Vertex duplis turn the object's +Y (its track axis) to the vertex' normal.
     shape = np.stack([across * width, 1.35 * along, lift], -1).reshape(-1, 3)
     yellow = studio.material("Petal", (0.93, 0.58, 0.04))
-    leaf = studio.mesh("Petal", shape, studio.grid_faces(9, 5), yellow, True)
+    leaf = studio.mesh("Petal", shape, shapes.grid_faces(9, 5), yellow, True)
     angle = np.arange(PETALS) * GOLDEN_ANGLE
     outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(PETALS)], -1)
     ring = studio.mesh("Petal ring", 2.88 * outward, np.empty((0, 3), int))
@@ -91,7 +91,7 @@ def meadow(random: np.random.Generator) -> None:
     side, bend = 0.045 * (1 - t**2) * np.array([[-1.0, 1.0]]), random.uniform(0.1, 0.6, (7, 1, 1)) * t**2
     x, y = side * np.cos(turn) - bend * np.sin(turn), side * np.sin(turn) + bend * np.cos(turn)
     blades = np.stack(np.broadcast_arrays(x, y, 0.9 * t), -1)
-    faces = np.concatenate([studio.grid_faces(5, 2) + 10 * i for i in range(7)])
+    faces = np.concatenate([shapes.grid_faces(5, 2) + 10 * i for i in range(7)])
     green = studio.material("Grass", (0.09, 0.27, 0.06))
     tuft = bpy.data.collections.new("Tuft")
     tuft.objects.link(

@@ -10,6 +10,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from . import shapes
+from .model import Model, Ramp, Surface
+from .model import aimed as aimed_matrix
+
 Colour = Sequence[float]
 
 
@@ -90,44 +94,19 @@ def mesh(
     return made
 
 
-def grid_faces(rows: int, columns: int, around: bool = False) -> np.ndarray:
-    """(F, 4) squares between ``rows`` x ``columns`` vertices; ``around`` closes every row to a ring."""
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - (not around)), indexing="ij")
-    k = (j + 1) % columns
-    corners = (i * columns + j, i * columns + k, (i + 1) * columns + k, (i + 1) * columns + j)
-    return np.stack(corners, -1).reshape(-1, 4)
-
-
 def box(name: str, size: Sequence[float], surface: bpy.types.Material) -> bpy.types.Mesh:
-    """A box of ``size`` that stands on z = 0, centred in x and y."""
-    corners = np.array([(x, y, z) for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
-    faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6)]
-    return mesh(name, corners * size, np.array(faces), surface)
+    """`shapes.box` in one material; so are those below."""
+    return mesh(name, *shapes.box(size), surface)
 
 
 def ball(name: str, radius: float, surface: bpy.types.Material, cells: int = 12) -> bpy.types.Mesh:
-    """A smooth ball of 12 ``cells``^2 triangles: a cube of ``cells``^2 squares a side, blown up."""
-    t = np.tan(np.linspace(-np.pi / 4, np.pi / 4, cells + 1))
-    u, v = (a.ravel() for a in np.meshgrid(t, t, indexing="ij"))
-    one, square = np.ones_like(u), grid_faces(cells + 1, cells + 1)
-    sides = [(one, u, v), (-one, v, u), (v, one, u), (u, -one, v), (u, v, one), (v, u, -one)]
-    vertices = np.concatenate([np.stack(side, -1) for side in sides])
-    faces = np.concatenate([square + i * len(u) for i in range(6)])
-    # The six sides share their edges: weld them, or the ball would show seams.
-    vertices, welded = np.unique(vertices.round(9), axis=0, return_inverse=True)
-    vertices *= radius / np.linalg.norm(vertices, axis=1, keepdims=True)
-    return mesh(name, vertices, welded.reshape(-1)[faces], surface, smooth=True)
+    return mesh(name, *shapes.ball(radius, cells=cells), surface, smooth=True)
 
 
 def revolved(
     name: str, profile: Sequence[tuple[float, float]], surface: bpy.types.Material, segments: int = 48
 ) -> bpy.types.Mesh:
-    """The surface that a ``profile`` of (radius, height) sweeps about the z axis, from bottom to top."""
-    radius, height = np.array(profile, float).T[..., None]
-    turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    vertices = np.stack(np.broadcast_arrays(radius * np.cos(turn), radius * np.sin(turn), height), -1)
-    faces = grid_faces(len(profile), segments, around=True)
-    return mesh(name, vertices.reshape(-1, 3), faces, surface, smooth=True)
+    return mesh(name, *shapes.revolved(profile, segments), surface, smooth=True)
 
 
 def extruded(
@@ -137,19 +116,11 @@ def extruded(
     surface: bpy.types.Material,
     smooth: bool = False,
 ) -> bpy.types.Mesh:
-    """The sheet over a ``profile`` of (y, z), ``width`` wide along x."""
-    y, z = np.array(profile, float).T
-    x = np.array([[width / 2], [-width / 2]])
-    vertices = np.stack(np.broadcast_arrays(x, y, z), -1).reshape(-1, 3)
-    return mesh(name, vertices, grid_faces(2, len(y)), surface, smooth)
+    return mesh(name, *shapes.extruded(profile, width), surface, smooth)
 
 
 def backdrop(surface: bpy.types.Material, width: float = 60.0, depth: float = 9.0) -> bpy.types.Object:
-    """A photographer's sheet: a floor that rises behind the scene in one curve."""
-    turn = np.linspace(0, np.pi / 2, 24)
-    curve = np.stack([depth + 4 * np.sin(turn), 4 - 4 * np.cos(turn)], -1)
-    profile = np.concatenate([[(-30.0, 0.0)], curve, [(depth + 4, 30.0)]])
-    return place("Backdrop", extruded("Backdrop", profile, width, surface, smooth=True))
+    return place("Backdrop", mesh("Backdrop", *shapes.backdrop(width, depth), surface, smooth=True))
 
 
 def aimed(location: Sequence[float], target: Sequence[float]) -> Matrix:
@@ -186,3 +157,71 @@ def camera(location: Sequence[float], target: Sequence[float], lens: float = 50.
     placed.matrix_world = aimed(location, target)
     bpy.context.scene.camera = placed
     return placed
+
+
+# Models
+
+
+NODES = {
+    "Diffuse": "ShaderNodeBsdfDiffuse",
+    "Glossy": "ShaderNodeBsdfAnisotropic",
+    "Principled": "ShaderNodeBsdfPrincipled",
+    "Emission": "ShaderNodeEmission",
+}
+"""The node of each of a model's shaders."""
+
+
+def build_model(model: Model) -> None:
+    """Leave a `model.Model` as bpy's open file."""
+    empty_stage(model.world, model.size)
+    surfaces: dict[str, bpy.types.Material] = {}
+    for thing in model.things:
+        if thing.surface.name not in surfaces:
+            surfaces[thing.surface.name] = _shaded(thing.surface)
+        data = mesh(thing.name, *thing.shape, surfaces[thing.surface.name], thing.smooth)
+        if thing.uv is not None:
+            data.uv_layers.new(name="UVMap").data.foreach_set("uv", thing.uv.astype(np.float32).ravel())
+        place(thing.name, data)
+    for lamp in model.lamps:
+        placed = light(lamp.kind, lamp.position, lamp.power, lamp.colour, name=lamp.name, **lamp.properties)
+        placed.matrix_world = Matrix(aimed_matrix(lamp.position, lamp.target))
+        placed.visible_camera = lamp.seen
+    camera(model.view.position, model.view.target, model.view.lens)
+
+
+def _shaded(surface: Surface) -> bpy.types.Material:
+    made = bpy.data.materials.new(surface.name)
+    _with_nodes(made)
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    nodes.clear()
+    shader = nodes.new(NODES[surface.shader])
+    for name, value in surface.inputs.items():
+        socket = shader.inputs[name.replace("_", " ").title().replace("Ior", "IOR")]
+        if isinstance(value, Ramp):
+            links.new(_ramp(made.node_tree, value), socket)
+        else:
+            socket.default_value = (*value, 1.0) if socket.type == "RGBA" else value
+    output = nodes.new("ShaderNodeOutputMaterial")
+    output.location = (320, 0)
+    links.new(shader.outputs[0], output.inputs["Surface"])
+    colour = surface.inputs.get("color", surface.inputs.get("base_color"))
+    if not isinstance(colour, Ramp):
+        made.diffuse_color = (*colour, 1.0)
+    return made
+
+
+def _ramp(tree: bpy.types.NodeTree, ramp: Ramp) -> bpy.types.NodeSocket:
+    """UV map, Gradient Texture and Color Ramp, one after the other."""
+    uv, gradient, colours = (
+        tree.nodes.new(kind) for kind in ("ShaderNodeUVMap", "ShaderNodeTexGradient", "ShaderNodeValToRGB")
+    )
+    for x, node in zip((-760, -560, -340), (uv, gradient, colours), strict=True):
+        node.location = (x, 0)
+    tree.links.new(uv.outputs["UV"], gradient.inputs["Vector"])
+    tree.links.new(gradient.outputs["Fac"], colours.inputs["Fac"])
+    elements = colours.color_ramp.elements
+    while len(elements) < len(ramp.stops):
+        elements.new(0.5)
+    for element, (place_, colour) in zip(elements, ramp.stops, strict=True):
+        element.position, element.color = place_, (*colour, 1.0)
+    return colours.outputs["Color"]

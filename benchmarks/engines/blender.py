@@ -23,21 +23,31 @@ class BlenderEngine:
     name : what tables call it.
     engine : Blender's name of it.
     light_tree : Cycles' choice of lights by a tree (its default), or by their power.
+    noise_threshold : of Cycles' adaptive sampling; 0 is without it.
     integrator : CV Render's.
     """
 
     name: str
     engine: str
     light_tree: bool = True
+    noise_threshold: float = 0.0
     integrator: str = Settings().integrator
+
+    @property
+    def family(self) -> str:
+        """Whose converged picture it shares."""
+        return self.engine.lower()
 
     def render(self, samples: int, seed: int, path: Path) -> float:
         """Render the open scene into a 32-bit EXR; seconds from the scene in Blender to the closed file."""
         scene = bpy.context.scene
         if self.engine == "CYCLES":
             direct_light_only(scene)
-            scene.cycles.samples, scene.cycles.seed = samples, seed
-            scene.cycles.use_light_tree = self.light_tree
+            cycles = scene.cycles
+            cycles.samples, cycles.seed = samples, seed
+            cycles.use_light_tree = self.light_tree
+            cycles.use_adaptive_sampling = self.noise_threshold > 0
+            cycles.adaptive_threshold = self.noise_threshold
         else:
             scene.render.engine = self.engine
             scene.cv_render.samples, scene.cv_render.seed = samples, seed
@@ -50,6 +60,7 @@ class BlenderEngine:
 
 CYCLES = BlenderEngine("Cycles", "CYCLES")
 CYCLES_WITHOUT_TREE = BlenderEngine("Cycles, no light tree", "CYCLES", light_tree=False)
+CYCLES_ADAPTIVE = BlenderEngine("Cycles, adaptive (0.01)", "CYCLES", noise_threshold=0.01)
 CV_RENDER = BlenderEngine("CV Render", "CV_RENDER")
 INTEGRATORS = {
     name: BlenderEngine(f"CV Render, {name.replace('_', ' ')}", "CV_RENDER", integrator=name)

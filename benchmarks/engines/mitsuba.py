@@ -30,7 +30,7 @@ class Unavailable(Exception):
 class Mitsuba:
     """The open Blender scene in Mitsuba's `direct` integrator with multijittered samples."""
 
-    name = "Mitsuba 3 (LLVM)"
+    name, family = "Mitsuba 3 (LLVM)", "mitsuba"
     sample_counts = (16, 64, 144)
     """Its multijittered sampler takes squares only."""
 
@@ -70,7 +70,7 @@ class Mitsuba:
 
 
 def scene_arrays() -> dict[str, np.ndarray]:
-    """The open scene as arrays: triangles, area lights, camera; Unavailable if it has other lights."""
+    """The open scene as arrays: triangles, lights, camera; Unavailable if it has what Mitsuba has not."""
     import bpy
 
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -79,17 +79,7 @@ def scene_arrays() -> dict[str, np.ndarray]:
     for instance in depsgraph.object_instances:
         thing, matrix = instance.object, np.array(instance.matrix_world)
         if thing.type == "LIGHT":
-            light = thing.data
-            if light.type != "AREA":
-                raise Unavailable(f"it has no equal to Blender's {light.type.lower()} light")
-            round_ = light.shape in ("DISK", "ELLIPSE")
-            long = light.shape in ("RECTANGLE", "ELLIPSE")
-            size = np.array([light.size, light.size_y if long else light.size])
-            # Mitsuba's rectangle is [-1, 1]^2 and faces +Z.
-            arrays[f"light{lights}_matrix"] = matrix @ np.diag([*size / 2, 1, 1]) @ np.diag([1.0, -1, -1, 1])
-            area = np.prod(size) * (np.pi / 4 if round_ else 1)
-            arrays[f"light{lights}_radiance"] = np.array(light.color) * light.energy / (np.pi * area)
-            arrays[f"light{lights}_round"] = np.array(round_)
+            arrays |= {f"light{lights}_{key}": np.array(v) for key, v in _light(thing.data, matrix).items()}
             lights += 1
         elif thing.type == "MESH" and len(thing.data.polygons):
             mesh = thing.data
@@ -102,10 +92,9 @@ def scene_arrays() -> dict[str, np.ndarray]:
             mesh.vertices.foreach_get("co", points.ravel())
             normals = np.empty((len(mesh.loops), 3), np.float32)
             mesh.corner_normals.foreach_get("vector", normals.ravel())
-            colour = mesh.materials[0].node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value[:3]
             arrays[f"mesh{meshes}_points"] = points[of_loop[corners]] @ matrix[:3, :3].T + matrix[:3, 3]
             arrays[f"mesh{meshes}_normals"] = normals[corners] @ np.linalg.inv(matrix[:3, :3])
-            arrays[f"mesh{meshes}_colour"] = np.array(colour)
+            arrays[f"mesh{meshes}_surface"] = np.array(json.dumps(_surface(mesh.materials[0])))
             meshes += 1
     world = bpy.context.scene.world.node_tree.nodes["Background"].inputs["Color"].default_value[:3]
     camera = bpy.context.scene.camera
@@ -114,6 +103,50 @@ def scene_arrays() -> dict[str, np.ndarray]:
     arrays["field_of_view"] = np.degrees(2 * np.arctan(camera.data.sensor_width / 2 / camera.data.lens))
     arrays["counts"] = np.array([meshes, lights])
     return arrays
+
+
+def _light(light: Any, matrix: np.ndarray) -> dict[str, Any]:
+    power = np.array(light.color) * light.energy
+    if light.type == "AREA":
+        round_, long = light.shape in ("DISK", "ELLIPSE"), light.shape in ("RECTANGLE", "ELLIPSE")
+        size = np.array([light.size, light.size_y if long else light.size])
+        area = np.prod(size) * (np.pi / 4 if round_ else 1)
+        # Mitsuba's rectangle is [-1, 1]^2 and faces +Z.
+        to_world = matrix @ np.diag([*size / 2, 1, 1]) @ np.diag([1.0, -1, -1, 1])
+        shape = "disk" if round_ else "rectangle"
+        return {"shape": shape, "matrix": to_world, "radiance": power / (np.pi * area)}
+    radius = light.shadow_soft_size
+    if light.type == "POINT" and radius > 0 and not light.use_soft_falloff:
+        to_world = matrix @ np.diag([radius] * 3 + [1])
+        return {"shape": "sphere", "matrix": to_world, "radiance": power / (4 * np.pi**2 * radius**2)}
+    raise Unavailable(f"it has no equal to this {light.type.lower()} light of Blender's")
+
+
+def _surface(material: Any) -> dict[str, Any]:
+    """A plugin of Mitsuba: a BSDF, or an area emitter."""
+    (output,) = (node for node in material.node_tree.nodes if node.type == "OUTPUT_MATERIAL")
+    shader = output.inputs["Surface"].links[0].from_node
+    if any(socket.is_linked for socket in shader.inputs):
+        raise Unavailable(f"{material.name!r} has textures, which are not handed over")
+
+    def value(name: str) -> Any:
+        found = shader.inputs[name].default_value
+        return {"type": "rgb", "value": list(found)[:3]} if hasattr(found, "__len__") else found
+
+    if shader.type == "BSDF_DIFFUSE":
+        return {"type": "diffuse", "reflectance": value("Color")}
+    if shader.type in ("BSDF_GLOSSY", "BSDF_ANISOTROPIC"):
+        # A conductor without losses but its colour; its roughness is Blender's squared.
+        return {"type": "roughconductor", "material": "none", "distribution": "ggx",
+                "alpha": value("Roughness") ** 2, "specular_reflectance": value("Color")}  # fmt: skip
+    if shader.type == "BSDF_PRINCIPLED":
+        return {"type": "principled", "base_color": value("Base Color"), "roughness": value("Roughness"),
+                "metallic": value("Metallic"), "clearcoat": value("Coat Weight")}  # fmt: skip
+    if shader.type == "EMISSION":
+        radiance = value("Color")
+        radiance["value"] = [value("Strength") * channel for channel in radiance["value"]]
+        return {"type": "area", "radiance": radiance}
+    raise Unavailable(f"it has no equal to {shader.name}")
 
 
 # The other side
@@ -127,10 +160,12 @@ def load(arrays: Any) -> Any:
     meshes, lights = arrays["counts"]
     for i in range(meshes):
         points, normals = arrays[f"mesh{i}_points"], arrays[f"mesh{i}_normals"]
-        reflectance = {"type": "rgb", "value": arrays[f"mesh{i}_colour"].tolist()}
+        surface = json.loads(str(arrays[f"mesh{i}_surface"]))
         properties = mi.Properties()
-        bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-        properties["bsdf"] = mi.load_dict(bsdf)
+        if surface["type"] == "area":
+            properties["emitter"] = mi.load_dict(surface)
+        else:
+            properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": surface})
         mesh = mi.Mesh(f"mesh{i}", len(points), len(points) // 3, has_vertex_normals=True, props=properties)
         values = mi.traverse(mesh)
         values["vertex_positions"] = points.astype(np.float32).ravel()
@@ -140,7 +175,7 @@ def load(arrays: Any) -> Any:
         parts[f"mesh{i}"] = mesh
     for i in range(lights):
         parts[f"light{i}"] = {
-            "type": "disk" if arrays[f"light{i}_round"] else "rectangle",
+            "type": str(arrays[f"light{i}_shape"]),
             "to_world": mi.ScalarTransform4f(arrays[f"light{i}_matrix"]),
             "emitter": {
                 "type": "area",

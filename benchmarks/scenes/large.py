@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from example_blends import studio
+from example_blends import shapes, studio
 
 
 def _stage() -> bpy.types.Material:
@@ -22,7 +22,7 @@ def one_mesh(triangles: int = 1_000_000, smooth: bool = False) -> None:
     n = int(np.sqrt(triangles / 2)) + 1
     x, y = np.meshgrid(np.linspace(-10, 10, n), np.linspace(-10, 10, n), indexing="ij")
     points = np.stack([x, y, np.sin(x) * np.cos(y)], -1).reshape(-1, 3)
-    studio.place("Sheet", studio.mesh("Sheet", points, studio.grid_faces(n, n), surface, smooth))
+    studio.place("Sheet", studio.mesh("Sheet", points, shapes.grid_faces(n, n), surface, smooth))
 
 
 def many_objects(count: int = 10_000, shared: bool = False) -> None:

@@ -227,15 +227,15 @@ class DirectLight:
         if lit.size < weight.size:
             samples, cosine, weight = samples.take(lit), cosine.take(lit), weight.take(lit)
         arrive, _, rays = self._arriving(points, samples, cosine)
-        samples, weight = samples.take(arrive), weight.take(arrive)
-        strength = self.lights.strength(points, samples)
+        at, weight = samples.at.take(arrive), weight.take(arrive)
+        strength = self.lights.strength(points, samples, arrive)
         if self._one_material:
             radiance = (self._reflectance * strength) * weight
         else:
-            material = self._surfaces.triangles.material.take(points.triangle.take(samples.at))
+            material = self._surfaces.triangles.material.take(points.triangle.take(at))
             radiance = take(self._reflectance, material) * strength
             radiance *= weight
-        return Reflected(samples.which, radiance, rays, bad)
+        return Reflected(samples.which.take(arrive), radiance, rays, bad)
 
     def _reflect(self, hits: CameraHits, samples: LightSamples) -> Reflected:
         """Light samples reflected by lobes of all kinds, weighed against sampling these."""
@@ -262,11 +262,11 @@ class DirectLight:
         if lit.size < value.shape[1]:
             samples, unit, value = samples.take(lit), take(unit, lit), take(value, lit)
         arrive, passed, rays = self._arriving(points, samples, dot(take(points.normal, samples.at), unit))
-        samples, value = samples.take(arrive), take(value, arrive)
-        value *= self.lights.strength(points, samples)
+        value = take(value, arrive)
+        value *= self.lights.strength(points, samples, arrive)
         if passed is not None:
             value *= passed
-        return Reflected(samples.which, value, rays, bad)
+        return Reflected(samples.which.take(arrive), value, rays, bad)
 
     def _sample_lobe(self, hits: CameraHits, slot: Slot, at: np.ndarray, u: np.ndarray, choice) -> Reflected:
         """Lights that directions sampled by a lobe meet: at points ``at`` (K,) by u (2, K)."""

@@ -110,7 +110,7 @@ class SceneLights(Lights):
                 None,
                 group.at_infinity,
                 group.is_mesh,
-                u[-1],
+                u[-1] if group.is_mesh else None,
             )
         if isinstance(choice, EveryLight):
             count, chance = u.shape[1], None
@@ -134,6 +134,7 @@ class SceneLights(Lights):
         )
         if chance is not None:
             weight /= chance
+        w = w if self.any_mesh else None
         return LightSamples(order, at, light, to_light, weight, chance, at_infinity, is_mesh, w)
 
     def _sample_sorted(self, light, position, normal, w, u):
@@ -158,11 +159,12 @@ class SceneLights(Lights):
             is_mesh = self.groups[0].is_mesh
         return to_light, weight, at_infinity, is_mesh
 
-    def strength(self, points: SurfacePoints, samples: LightSamples) -> np.ndarray:
-        """(3, K) or (3, 1) strength of the lights of samples, towards their points."""
-        strength = self._strength if samples.light is None else take(self._strength, samples.light)
+    def strength(self, points: SurfacePoints, samples: LightSamples, rows: np.ndarray) -> np.ndarray:
+        """(3, J) or (3, 1) strength of the lights of samples ``rows`` (J,), towards their points."""
         if not self._has_tint:
-            return strength
+            return self._strength if samples.light is None else take(self._strength, samples.light.take(rows))
+        samples = samples.take(rows)
+        strength = self._strength if samples.light is None else take(self._strength, samples.light)
         strength = np.array(np.broadcast_to(strength, samples.to_light.shape))
         for group, part, which in self._parts(samples):
             to_light = samples.to_light[:, part]

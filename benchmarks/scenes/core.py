@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Example scenes for `engine_core` alone, from the same numbers as their .blend files.
+
+They are made of `example_blends.model.Model`, not exported out of Blender, so that figures and growth
+can be measured, and tested, where there is no Blender.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable
+from functools import partial
+
+import numpy as np
+
+from engine_core import AreaLight, Camera, Light, Material, Mesh, PointLight, Scene, World
+from engine_core.shading import closures, coordinates, ramps, textures
+from engine_core.shading.values import compute
+from example_blends.model import Lamp, Model, Ramp, Surface, Thing, aimed
+from example_blends.shapes import corner_normals
+
+MODELS = ("slats", "studio_spheres", "veach_plates", "violin")
+
+
+def example(name: str, width: int, height: int) -> Scene:
+    """One of `MODELS`, at this size."""
+    return scene(importlib.import_module(f"example_blends.{name}").model(), width, height)
+
+
+def scene(model: Model, width: int, height: int) -> Scene:
+    """``model`` at this size."""
+    surfaces = {thing.surface.name: thing.surface for thing in model.things}
+    numbers = {name: number for number, name in enumerate(surfaces)}
+    view = model.view
+    return Scene(
+        Camera.look_at(view.position, view.target, width, height, view.field_of_view, clip_start=0.1),
+        [_mesh(thing, numbers[thing.surface.name]) for thing in model.things],
+        [_material(surface) for surface in surfaces.values()],
+        _lights(model.lamps),
+        World(model.world),
+    )
+
+
+def _mesh(thing: Thing, material: int) -> Mesh:
+    vertices, faces = thing.shape
+    fan = [(0, k, k + 1) for k in range(1, faces.shape[1] - 1)]
+    triangles = np.concatenate([faces[:, corners] for corners in fan])
+    fields = {}
+    if thing.smooth:
+        normals = corner_normals(vertices, faces)
+        fields["normals"] = np.concatenate([normals[:, corners] for corners in fan])
+    if thing.uv is not None:
+        fields["attributes"] = {"uv:UVMap": np.concatenate([thing.uv[:, corners] for corners in fan])}
+    return Mesh(vertices, triangles, materials=material, name=thing.name, **fields)
+
+
+def _material(surface: Surface) -> Material:
+    inputs = dict(surface.inputs)
+    if surface.shader == "Diffuse":
+        return Material(inputs["color"], name=surface.name)
+    if surface.shader == "Emission" and not isinstance(inputs["color"], Ramp):
+        return Material(0.0, np.multiply(inputs["color"], inputs["strength"]), surface.name)
+    for name, value in inputs.items():
+        if isinstance(value, Ramp):
+            inputs[name] = _ramp(value)
+    return Material(name=surface.name, surface=getattr(closures, surface.shader)(**inputs))
+
+
+def _ramp(ramp: Ramp) -> object:
+    """UV map, gradient and a table, as the exporter makes them of a file's nodes."""
+    places, colours = zip(*ramp.stops, strict=True)
+    entries = np.linspace(0, 1, ramps.ENTRIES)
+    table = np.array([np.interp(entries, places, channel) for channel in np.transpose(colours)], np.float32)
+    along = compute(partial(textures.gradient, "LINEAR"), coordinates.uv("UVMap"))
+    return compute(partial(ramps.look_up, table, True), along)
+
+
+def _lights(lamps: Iterable[Lamp]) -> list[Light]:
+    lights: list[Light] = []
+    for lamp in lamps:
+        matrix, properties = aimed(lamp.position, lamp.target), lamp.properties
+        shared = {
+            "power": np.multiply(lamp.colour, lamp.power),
+            "visible_to_camera": lamp.seen,
+            "name": lamp.name,
+        }
+        if lamp.kind == "POINT":
+            radius, sphere = properties["shadow_soft_size"], not properties.get("use_soft_falloff", True)
+            lights.append(PointLight(position=lamp.position, radius=radius, sphere=sphere, **shared))
+        else:
+            size = (properties["size"], properties.get("size_y", properties["size"]))
+            ellipse = properties["shape"] in ("DISK", "ELLIPSE")
+            lights.append(AreaLight(light_to_world=matrix, size=size, ellipse=ellipse, **shared))
+    return lights

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes as plain data, so that one description serves Blender and the engine without Blender alike.
+
+`studio.build_model` makes a Blender file of a `Model`, `benchmarks.scenes.core` a scene of `engine_core`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .shapes import Shape
+
+Colour = Sequence[float]
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Colours over the first coordinate of the UV map, linear between ``stops`` (place, colour)."""
+
+    stops: tuple[tuple[float, Colour], ...]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a thing is made of.
+
+    shader : "Diffuse", "Glossy", "Principled" or "Emission".
+    inputs : by the names that `engine_core.shading.closures` has for them: color, base_color, roughness ...
+    """
+
+    name: str
+    shader: str
+    inputs: Mapping[str, Any]
+
+
+def diffuse(name: str, colour: Colour) -> Surface:
+    return Surface(name, "Diffuse", {"color": colour})
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """An object: a shape in world space and one surface. uv : (F, K, 2), of its faces' corners."""
+
+    name: str
+    shape: Shape
+    surface: Surface
+    smooth: bool = False
+    uv: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A light as Blender knows it.
+
+    kind : "POINT" or "AREA". power : in W. seen : by the camera. properties : of Blender's light data.
+    """
+
+    name: str
+    kind: str
+    position: Sequence[float]
+    power: float
+    colour: Colour = (1.0, 1.0, 1.0)
+    target: Sequence[float] | None = None
+    seen: bool = False
+    properties: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera; ``lens`` in mm on a sensor of 36 mm."""
+
+    position: Sequence[float]
+    target: Sequence[float]
+    lens: float = 50.0
+
+    @property
+    def field_of_view(self) -> float:
+        """In radians, across the wider side of the picture."""
+        return 2 * math.atan(18 / self.lens)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A whole scene. world : radiance from everywhere. size : of the picture, as the file has it."""
+
+    view: View
+    things: Sequence[Thing]
+    lamps: Sequence[Lamp] = ()
+    world: Colour = (0.0, 0.0, 0.0)
+    size: tuple[int, int] = (960, 540)
+
+
+def aimed(position: Sequence[float], target: Sequence[float] | None) -> np.ndarray:
+    """(4, 4) of a camera or light at ``position``: its -Z points to the target, its Y as far up as can be."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    if target is not None:
+        back = np.subtract(position, target)
+        back /= np.linalg.norm(back)
+        right = np.cross((0, 0, 1), back) if abs(back[2]) < 0.99999 else np.array([1.0, 0, 0])
+        right /= np.linalg.norm(right)
+        matrix[:3, :3] = np.stack([right, np.cross(back, right), back], axis=1)
+    return matrix

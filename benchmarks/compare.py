@@ -61,11 +61,11 @@ def compare_pictures(ours: np.ndarray, theirs: np.ndarray, samples: int) -> Comp
     )
 
 
-def pictures(engine: str, size: int, samples: int, seeds: Sequence[int]) -> np.ndarray:
+def pictures(engine: str, size: tuple[int, int], samples: int, seeds: Sequence[int]) -> np.ndarray:
     """(seeds, H, W, 3) of the open scene by Blender's ``engine``."""
     from .engines.blender import BlenderEngine, read_picture, set_output
 
-    set_output(size, size)
+    set_output(*size)
     renderer = BlenderEngine(engine, engine)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.exr"
@@ -79,8 +79,8 @@ def pictures(engine: str, size: int, samples: int, seeds: Sequence[int]) -> np.n
 def compare(case: Case, size: int, samples: int, seeds: int) -> Comparison:
     """Render ``case`` with as many ``seeds`` by either engine."""
     build(case)
-    ours = pictures("CV_RENDER", size, samples, range(seeds))
-    return compare_pictures(ours, pictures("CYCLES", size, samples, range(100, 100 + seeds)), samples)
+    ours = pictures("CV_RENDER", (size, size), samples, range(seeds))
+    return compare_pictures(ours, pictures("CYCLES", (size, size), samples, range(100, 100 + seeds)), samples)
 
 
 def main() -> None:

@@ -16,8 +16,8 @@ INTEGRATORS = (
         "control_variates",
         "Control Variates",
         "Light is approximated by polynomials, these are integrated exactly, and samples go where they are "
-        "wrong: the least noise for the time in soft shadows. With more than 8 lights, or mesh lights, the "
-        "same as Sobol",
+        "wrong: the least noise for the time in soft shadows. With more than 8 lights, mesh lights or depth "
+        "of field, the same as Sobol",
     ),
     (
         "sobol",
@@ -41,6 +41,25 @@ INTEGRATORS = (
     ),
 )
 
+DIRECT_SAMPLING = (
+    (
+        "mis",
+        "Automatic (MIS)",
+        "Multiple importance sampling combines directions towards the lights with directions that the BSDF "
+        "reflects, for each lobe that is not rough; what is rough or diffuse needs the lights alone",
+    ),
+    (
+        "light",
+        "Lights",
+        "Directions lead towards the lights alone: noisy where large lights mirror in smooth surfaces",
+    ),
+    (
+        "bsdf",
+        "BSDF",
+        "What is not rough takes directions from its BSDF alone: noisy where lights are small. Lights "
+        "without size, which no direction meets, are sampled still",
+    ),
+)
 
 TILE_SIZES = (
     ("0", "Automatic", "By the size of the picture"),
@@ -84,6 +103,21 @@ class CVRenderSceneSettings(bpy.types.PropertyGroup):
         description="How the light is integrated over pixels and lights",
         items=INTEGRATORS,
         default=DEFAULTS.integrator,
+    )
+    direct_sampling: EnumProperty(
+        name="Direct Light",
+        description="How directions are chosen in which light reaches a surface that is not diffuse",
+        items=DIRECT_SAMPLING,
+        default=DEFAULTS.direct_sampling,
+    )
+    transparent_bounces: IntProperty(
+        name="Transparent Bounces",
+        description="Maximum number of transparent surfaces that a camera or shadow ray passes straight "
+        "through. What is behind more of them is black, and in shadow",
+        default=DEFAULTS.transparent_bounces,
+        min=0,
+        max=1024,
+        soft_max=64,
     )
     seed: IntProperty(
         name="Seed",
@@ -165,6 +199,8 @@ def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
         samples=view_layer.samples or chosen.samples,
         light_samples=chosen.light_samples,
         integrator=chosen.integrator,
+        direct_sampling=chosen.direct_sampling,
+        transparent_bounces=chosen.transparent_bounces,
         seed=chosen.seed + (scene.frame_current if chosen.use_animated_seed else 0),
         noise_threshold=chosen.noise_threshold,
         min_samples=chosen.min_samples,

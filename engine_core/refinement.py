@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from .image.film import FAR, LARGEST, Film
-from .integration.allocation import sample_counts
+from .integration.allocation import evenly_spread, learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
-from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
+from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates, drawn
 from .integration.inner_rules import Net
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
@@ -25,7 +25,7 @@ from .settings import Settings
 from .transport.direct_light import ALPHA, NORMAL, CameraHits, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import EveryLight
 
-FEWEST_SAMPLES = 4
+FEWEST_SAMPLES = 1
 """Samples a pixel below which nodes would cost more than they tell."""
 
 MOST_LIGHTS = 8
@@ -43,14 +43,15 @@ MOST = 1 << 14
 FIRST_PASS = 8
 """Samples a pixel, the polynomials' included, of the first of the passes that double them."""
 
-BEND, COSINE = 0.02, 0.9
-"""How much 1/depth, or the normal, changes over two pixels of an edge."""
+DEFENSIVE = 0.1
+"""Of the residual samples, spread evenly."""
 
-CONTRAST = 0.05
-"""Deviation to reckon with at an edge, as a part of the brightest radiance near it."""
+PILOT_ONE_IN = 4
+"""One pixel in so many is sampled first, and tells its neighbours how right the nodes' prediction is."""
 
-DEFENSIVE = 0.25
-"""Of the residual samples, spread evenly: more than for functions, since what the nodes do not see shows."""
+CHANCE = 0.25
+"""The least with which a pixel is sampled at all: what neither nodes nor a pilot have seen shows up to as
+much brighter as this is less than 1."""
 
 MOST_REGIONS = 400_000
 """Of a picture: about 2 kB each."""
@@ -125,6 +126,7 @@ class ControlVariatePicture:
         self._alone = alone
         if alone:
             self._due, self._twice, self.passes = np.ones(bins, np.int64), np.zeros(bins, bool), 1
+            self._have = np.zeros(bins, np.int64)
             self._points = staged_points("sobol", 2, 0, 1, settings.seed + 1)
             self._points[0].prepare(LOOKS)
         else:
@@ -154,65 +156,47 @@ class ControlVariatePicture:
         self._mean[(slice(None), *where)], self._plain[where] = mean, unexplained > BEYOND_HOPE
 
     def _allocate(self, map_: Map) -> None:
+        """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
         settings, bins = self._settings, self._bins
-        twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed)
-        samples = self._left / (1 + twice.mean())
-        # Every pixel gets one: depth and alpha are known from samples alone.
-        error = np.maximum(self._error, self._silhouettes(map_))
+        twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed).reshape(bins)
+        pilot = twice | evenly_spread(bins, PILOT_ONE_IN, settings.seed)
+        if self._direct_light.transparent or settings.normals:
+            # Alpha and normals are known from samples alone.
+            pilot[:] = True
+        approximate = self._mean.copy()
         # H stays on show until their samples are there.
         self._mean[:, self._plain] = 0
-        due, _ = sample_counts(error.ravel(), samples, DEFENSIVE, 1.0)
-        due = np.minimum(due, MOST).reshape(bins)
+        self._twice, self._chance = twice, np.ones(bins)
+        self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
+        for group in self._points:
+            group.prepare(1)
+        self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
+        self._spread = Spread.empty(CHANNELS, self._error.size)
+        self._residual = np.zeros((CHANNELS, self._error.size))
+        self._have = pilot.astype(np.int64)
+
+        def sample_pilot(number: int) -> None:
+            one = self._have[self._part(number)].ravel()
+            self._sample(number, np.zeros_like(one), one)
+
+        map_(sample_pilot, range(len(self)))
+        found = self._mean + self._residual.reshape(self._mean.shape) - approximate
+        self._deviation = error = learned_deviation(np.abs(found).sum(axis=0) ** 2, pilot, self._error)
+        due, chance = sample_counts(error.ravel(), self._left / (1 + twice.mean()), DEFENSIVE, CHANCE)
+        due, chance = np.minimum(due, MOST).reshape(bins), chance.reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._mean.mean(axis=0), 0))
             wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
             # The error of a net falls about as n^-3/4.
-            enough = np.ceil(np.log2(np.maximum(self._error / wanted, 1)) * 4 / 3).astype(np.int64)
+            enough = np.ceil(np.log2(np.maximum(error / wanted, 1)) * 4 / 3).astype(np.int64)
             least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
             due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
-        self._due, self._twice = due, twice.reshape(bins)
+        # Without h there is no telling how large a sample is that stands for several.
+        self._chance = np.where(pilot | self._plain, 1, chance)
+        self._due = due * drawn(self._chance.ravel(), settings.seed).reshape(bins)
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
-        self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
         for group in self._points:
-            group.prepare(int(due.max()))
-        self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
-        self._spread = Spread.empty(CHANNELS, self._error.size)
-        self._residual = np.zeros((CHANNELS, self._error.size))
-
-    def _silhouettes(self, map_: Map) -> np.ndarray:
-        """(W, H) the least deviation to reckon with, where a camera ray through each pixel finds an edge.
-
-        The tip of a thing may lie between all nodes. Along a plane 1/depth is linear: where it bends, or
-        the normal does, there is an edge, which takes no shadow ray to see.
-        """
-        nearness = np.zeros(self._bins, np.float32)
-        normal = np.zeros((3, *self._bins), np.float32)
-
-        def look(number: int) -> None:
-            (x0, y0), (x1, y1) = self._variate.box(number)
-            index = np.indices((x1 - x0, y1 - y0)).reshape(2, -1) + np.array([[x0], [y0]])
-            middle = np.full((2, index.shape[1], 1), 0.5, np.float32)
-            hits = self.integrand.first(self._pixels(index), middle)
-            lane = slice(None) if hits.lane is None else hits.lane
-            x, y = index[0][lane], index[1][lane]
-            nearness[x, y] = 1 / hits.depth[lane]
-            normal[:, x, y] = hits.normal
-
-        map_(look, range(len(self._variate)))
-        edge = np.zeros(self._bins, bool)
-        for axis in (0, 1):
-            low, middle, high = (
-                (slice(None),) * axis + (part,) for part in (slice(None, -2), slice(1, -1), slice(2, None))
-            )
-            if self._bins[axis] < 3:
-                continue
-            bend = np.abs(nearness[low] + nearness[high] - 2 * nearness[middle])
-            found = bend > BEND * np.maximum(nearness[low], nearness[high])
-            cosine = np.einsum("i...,i...->...", normal[(slice(None), *low)], normal[(slice(None), *high)])
-            found |= (nearness[low] > 0) & (nearness[high] > 0) & (cosine < COSINE)
-            for side in (low, middle, high):
-                edge[side] |= found
-        return np.where(edge, CONTRAST * _brightest_near(np.abs(self._mean).sum(axis=0), 2), 0)
+            group.prepare(int(self._due.max()))
 
     def __len__(self) -> int:
         """How many tiles there are to refine."""
@@ -224,29 +208,61 @@ class ControlVariatePicture:
         return x0, y0, x1, y1
 
     def _count(self, where: tuple, number: int) -> np.ndarray:
-        """Samples that pixels have after pass ``number``: a power of two, twice as many each time."""
-        return np.maximum(self._due[where] >> (self.passes - 1 - number), 1)
+        """Samples that pixels have after pass ``number``: a power of two, twice as many each time, or 0."""
+        if number < 0:
+            return self._have[where]
+        due = self._due[where]
+        return np.maximum(due >> (self.passes - 1 - number), np.minimum(due, 1))
+
+    def _part(self, number: int) -> tuple[slice, slice]:
+        """A tile's columns and rows."""
+        x0, y0, x1, y1 = self.box(number)
+        return slice(x0, x1), slice(y0, y1)
 
     def work(self, number: int, pass_: int) -> int:
         """Samples that a tile takes in a pass."""
-        x0, y0, x1, y1 = self.box(number)
-        where = slice(x0, x1), slice(y0, y1)
-        count = self._count(where, pass_)
-        if pass_:
-            count = count - self._count(where, pass_ - 1)
-        return int((count * (1 + self._twice[where])).sum())
+        where = self._part(number)
+        new = self._count(where, pass_) - self._count(where, pass_ - 1)
+        return int((new * (1 + self._twice[where])).sum())
 
     def refine(self, number: int, pass_: int, done: Callable[[int], None]) -> None:
         """Sample a tile's residual and write it into the film. done : called with samples done."""
+        if self._alone:
+            tile = self._variate.tile(number)
+            self._look(tile, self._pixels(tile.index), done)
+            return
+        x, y = part = self._part(number)
+        self._sample(number, *(self._count(part, p).ravel() for p in (pass_ - 1, pass_)), done)
+        if pass_ == 0:
+            self._measure_depth(number)
+        film, h = self._film, self._mean[:, x, y]
+        residual = self._residual.reshape(self._mean.shape)[:, x, y]
+        self._write(x, y, h + residual)
+        film.control_variate[y, x] = np.clip(h, -LARGEST, LARGEST).T
+        film.residual[y, x] = np.clip(residual, -LARGEST, LARGEST).T
+        film.sample_count[y, x] = (self._count(part, pass_) * (1 + self._twice[part])).T
+        self._reached = pass_
+
+    def _measure_depth(self, number: int) -> None:
+        """Of pixels that are never sampled, in their middle."""
+        x0, y0, x1, y1 = self.box(number)
+        index = np.stack(np.nonzero(self._due[x0:x1, y0:y1] == 0)) + np.array([[x0], [y0]])
+        middle = np.full((2, index.shape[1], 1), 0.5, np.float32)
+        hits = self.integrand.first(self._pixels(index), middle)
+        self._film.depth[index[1], index[0]] = np.minimum(hits.depth, FAR)
+
+    def _sample(
+        self,
+        number: int,
+        have: np.ndarray,
+        count: np.ndarray,
+        done: Callable[[int], None] = lambda samples: None,
+    ) -> None:
+        """Sample the B pixels of a tile, which have ``have`` (B,) samples, up to ``count`` (B,)."""
         tile = self._variate.tile(number)
         where = tuple(tile.index)
         twice = self._twice[where]
-        pixels = self._pixels(tile.index)
-        if self._alone:
-            self._look(tile, pixels, done)
-            return
-        count = self._count(where, pass_)
-        new = count - self._count(where, pass_ - 1) if pass_ else count
+        pixels, new = self._pixels(tile.index), count - have
         depth = np.full(len(new), FAR)
         seen = np.zeros((self._direct_light.channels - ALPHA, len(new)))
 
@@ -255,50 +271,36 @@ class ControlVariatePicture:
             seen[:, part] += hits.values[ALPHA:].reshape(len(seen), len(part), n).sum(axis=2)
             done(len(part) * n)
 
-        density = tile.density(self._variate.spread)
+        film, at = self._film, where[0] * self._bins[1] + where[1]
         mean, spread = self._sampler.sample(
             self.integrand,
             pixels,
             pixels.key(),
             tile,
-            density,
+            tile.density(self._variate.spread),
             self._error[where],
-            new,
-            np.ones(len(new)),
+            count,
+            self._chance[where],
             twice,
             after_batch,
-            later=pass_ > 0,
-            plain=self._plain[where],
+            self._plain[where],
+            have,
+            (self._residual[:, at], self._spread.of(at)),
         )
-        film, at = self._film, where[0] * self._bins[1] + where[1]
-        seen /= np.maximum(new * (1 + twice), 1)
-        if pass_ == 0:
-            self._spread.store(at, spread)
-            film.depth[where[1], where[0]] = depth
-        else:
-            # Those that got new samples got as many as they had.
-            more = new > 0
-            old = self._residual[:, at]
-            self._spread.double(at[more], old[:, more], mean[:, more], spread.of(more))
-            mean = np.where(more, (old + mean) / 2, old)
-            before = film.combined[where[1], where[0], ALPHA]
-            seen[0] = np.where(more, (before + seen[0]) / 2, before)
-            if self._settings.normals:
-                before = film.normal[where[1], where[0]].T
-                seen[NORMAL.start - ALPHA :] = np.where(
-                    more, (before + seen[NORMAL.start - ALPHA :]) / 2, before
-                )
         self._residual[:, at] = mean
-        self._write(*where, self._mean[(slice(None), *where)] + mean)
-        film.control_variate[where[1], where[0]] = np.clip(
-            self._mean[(slice(None), *where)], -LARGEST, LARGEST
-        ).T
-        film.residual[where[1], where[0]] = np.clip(mean, -LARGEST, LARGEST).T
-        film.sample_count[where[1], where[0]] = count * (1 + twice)
-        film.combined[where[1], where[0], ALPHA] = seen[0]
+        self._spread.store(at, spread)
+        x, y = where
+        first = np.flatnonzero((new > 0) & (have == 0))
+        film.depth[y[first], x[first]] = depth[first]
+        # Alpha and normals are means over samples: those before, and the new ones.
+        more = np.flatnonzero(new > 0)
+        seen = seen[:, more] / (new * (1 + twice))[more]
+        share = (new / np.maximum(count, 1))[more]
+        x, y = x[more], y[more]
+        film.combined[y, x, ALPHA] += (seen[0] - film.combined[y, x, ALPHA]) * share
         if self._settings.normals:
-            film.normal[where[1], where[0]] = seen[NORMAL.start - ALPHA :].T
-        self._reached = pass_
+            normal = film.normal[y, x].T
+            film.normal[y, x] = (normal + (seen[NORMAL.start - ALPHA :] - normal) * share).T
 
     def _look(self, tile: TileOfRegions, pixels: Pixels, done: Callable[[int], None]) -> None:
         """Camera rays alone: the polynomials know neither depth, nor normals, nor alpha."""
@@ -326,21 +328,14 @@ class ControlVariatePicture:
     def finish(self) -> None:
         """Fill the film's standard error."""
         count = self._count((slice(None), slice(None)), self._reached)
-        error = standard_error(self._spread, count.ravel(), self._bins, self._error.ravel())
+        error = standard_error(
+            self._spread, count.ravel(), self._bins, self._deviation.ravel(), self._chance.ravel()
+        )
         error = error.reshape(-1, *self._bins)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
-
-
-def _brightest_near(values: np.ndarray, reach: int) -> np.ndarray:
-    """(W, H) the largest value within ``reach`` pixels along each axis."""
-    for axis in (0, 1):
-        padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], "edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis)
-        values = windows.max(axis=-1)
-    return values
 
 
 def serves(integrand: DirectLight) -> bool:
     """Whether polynomials follow the integrand: no choice among lights, nor triangles of one, no lens."""
     in_focus = integrand.screen_dimensions == 2
-    return len(integrand.lights) <= MOST_LIGHTS and not integrand.any_mesh and in_focus
+    return len(integrand.lights) <= MOST_LIGHTS and not integrand.chooses_triangle and in_focus

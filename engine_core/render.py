@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import repeat
-from threading import Event
+from threading import Event, Lock
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from .integration.standard_error import Spread, standard_error
 from .refinement import FEWEST_SAMPLES, MOST_LIGHTS, ControlVariatePicture, serves
 from .scene import Camera, Scene
 from .settings import Settings
-from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
+from .transport.direct_light import NON_FINITE, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import CELL, LightChoice
 
 POLL_SECONDS = 0.05
@@ -156,8 +157,14 @@ class _Render:
         self._keep_choices = cells * len(self._integrand.lights) <= _KEPT_CHOICES
         self._stop = Event()
         self._done = self._pass_work = 0
-        self._counts = {"camera rays": 0, "shadow rays": 0, "non-finite samples": 0}
-        self._stages: dict[str, Any] = {}
+        self._counts: Counter[str] = Counter()
+        self._counting = Lock()
+        self._integrals = {
+            "control variate": f"skipped: the integrator is {settings.integrator}",
+            "volume": "skipped: volumes are not supported yet",
+        }
+        self._regions = self._nodes = 0
+        self._stages = {"seconds control variate": 0.0, "seconds sampling": 0.0}
         width, height = scene.camera.region_size
         self._spread = Spread.empty(3, width * height) if settings.standard_error else None
         self._built = time.perf_counter()
@@ -168,7 +175,9 @@ class _Render:
         try:
             ended = self._by_control_variates(pool)
             if ended is None:
+                begin = time.perf_counter()
                 ended = self._passes(pool)
+                self._stages["seconds sampling"] += time.perf_counter() - begin
                 if self._spread is not None:
                     self._tell_error()
             self._film.stopped_by = ended
@@ -190,12 +199,12 @@ class _Render:
         served = serves(self._integrand)
         if alone and not served:
             self._film.messages.append(
-                f"CV Only serves up to {MOST_LIGHTS} lights, none of them a mesh: "
-                "this scene is sampled as by Sobol"
+                f"CV Only can't serve this scene ({_obstacles(self._integrand)}): it is sampled as by Sobol"
             )
-        if not served:
-            self._stages["control variate"] = "skipped: too many lights, mesh lights, or depth of field"
-        if not served or (settings.samples < FEWEST_SAMPLES and not alone):
+        few = settings.samples < FEWEST_SAMPLES and not alone
+        if not served or few:
+            why = f"less than {FEWEST_SAMPLES} samples" if served else _obstacles(self._integrand)
+            self._integrals["control variate"] = f"skipped: {why}"
             return None
         begin = time.perf_counter()
         picture = ControlVariatePicture(
@@ -217,24 +226,24 @@ class _Render:
                 building, lambda future, _: None, lambda: "Building the control variate", always=True
             )
         built = time.perf_counter()
-        self._stages |= {
-            "regions": picture.regions,
-            "nodes": picture.nodes,
-            "seconds control variate": built - begin,
-        }
+        self._regions, self._nodes = picture.regions, picture.nodes
+        self._stages["seconds control variate"] = built - begin
         if ended:
+            self._integrals["control variate"] = "given up: stopped while it was built"
+            self._count(picture.integrand)
             return ended
         helps = outcome.result()
         if helps:
+            self._integrals["control variate"] = "built"
             x0, y0, x1, y1 = self._camera.region
             self._sink.tile(self._film, 0, 0, x1 - x0, y1 - y0)
             ended = self._refine(pool, picture)
             if settings.standard_error and not alone:
                 picture.finish()
-        counts = picture.integrand
-        self._counts["camera rays"] += counts.camera_rays
-        self._counts["shadow rays"] += counts.shadow_rays
-        self._counts["non-finite samples"] += counts.non_finite
+            self._stages["seconds sampling"] = time.perf_counter() - built
+        else:
+            self._integrals["control variate"] = "given up: polynomials would not pay"
+        self._count(picture.integrand)
         return (ended or "samples") if helps else None
 
     def _refine(self, pool: Executor, picture: ControlVariatePicture) -> str | None:
@@ -433,9 +442,12 @@ class _Render:
             old = film.normal[row, column].T
             film.normal[row, column] = (old + (mean[4:7] - old) * share).T
         film.sample_count[row, column] = start + count
-        self._counts["camera rays"] += integrand.camera_rays
-        self._counts["shadow rays"] += integrand.shadow_rays
-        self._counts["non-finite samples"] += integrand.non_finite
+        self._count(integrand)
+
+    def _count(self, spent: DirectLightOverTile) -> None:
+        """Add up what evaluations cost; called once for a tile, so that it costs nothing itself."""
+        with self._counting:
+            self._counts.update(spent.counts)
 
     def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
         """Stop blocks whose error is small enough, judged by two halves (C, B) of their samples.
@@ -465,18 +477,24 @@ class _Render:
     def _report(self) -> None:
         end = time.perf_counter()
         film = self._film
-        if self._counts["non-finite samples"]:
+        if self._counts[NON_FINITE]:
             film.messages.append(
-                f"{self._counts['non-finite samples']} light samples were not finite and count as black; "
+                f"{self._counts[NON_FINITE]} light samples were not finite and count as black; "
                 "check the scene for lights and objects of extreme size or power."
             )
         film.statistics = {
-            **self._counts,
+            **self._integrals,
             "lights": len(self._integrand.lights),
+            "regions": self._regions,
+            "nodes": self._nodes,
+            "samples": int(film.sample_count.sum()),
+            **self._counts,
             "threads": self._threads,
             "seconds building": self._built - self._begin,
-            "seconds rendering": end - self._built,
+            **{f"seconds {stage}": seconds for stage, seconds in self._integrand.seconds.items()},
             **self._stages,
+            "seconds rendering": end - self._built,
+            "seconds total": end - self._begin,
         }
 
 
@@ -484,6 +502,16 @@ def _quietly(function: Callable, *arguments: Any) -> Any:
     """What over- or underflows is dealt with where it matters; NumPy's state is each thread's own."""
     with np.errstate(all="ignore"):
         return function(*arguments)
+
+
+def _obstacles(integrand: DirectLight) -> str:
+    """Why no polynomial `serves` an integrand."""
+    found = {
+        f"more than {MOST_LIGHTS} lights": len(integrand.lights) > MOST_LIGHTS,
+        "mesh lights of many triangles": integrand.chooses_triangle,
+        "depth of field": integrand.screen_dimensions > 2,
+    }
+    return ", ".join(what for what, there in found.items() if there)
 
 
 def _light_samples(lights: int) -> int:

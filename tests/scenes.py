@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,21 @@ from engine_core import (
     World,
     render,
 )
-from engine_core.settings import INTEGRATORS
+from engine_core.settings import DIRECT_SAMPLING, INTEGRATORS
+from engine_core.shading.closures import (
+    Add,
+    Closure,
+    Diffuse,
+    Emission,
+    Glossy,
+    Holdout,
+    Mix,
+    Principled,
+    Translucent,
+    Transparent,
+)
+from engine_core.shading.coordinates import GENERATED, NORMAL, TOWARDS_VIEWER
+from engine_core.shading.values import Value, value_at
 
 WHITE = Material(1.0)
 
@@ -197,14 +211,18 @@ def nasty_scene(seed: int) -> tuple[Scene, Settings]:
         maker.camera(),
         [maker.mesh() for _ in range(random.integers(0, 9))],
         [maker.material() for _ in range(3)],
-        [light for _ in range(random.integers(0, 6)) if (light := maker.light()) is not None],
-        World(random.choice([0.0, 1.0, 1e-30, 1e20, -1.0]), bool(random.integers(2))),
+        [light for _ in range(maker.light_count()) if (light := maker.light()) is not None],
+        maker.world(),
     )
+    # A quadrature takes as long as it takes, and the more lights it meets the longer.
+    few = len(scene.lights) <= 5
     settings = Settings(
         samples=int(random.choice([1, 4, 8])),
         light_samples=int(random.choice([0, 1, 3])),
-        integrator=str(random.choice(INTEGRATORS)),
+        integrator=str(random.choice([i for i in INTEGRATORS if few or i != "quadrature"])),
         seed=seed,
+        direct_sampling=str(random.choice(DIRECT_SAMPLING)),
+        transparent_bounces=int(random.choice([0, 1, 8, 64])),
         noise_threshold=float(random.choice([0, 0.1])),
         min_samples=2,
         threads=1,
@@ -232,12 +250,13 @@ class _Nasty:
 
     def camera(self) -> Camera:
         # Pictures of one pixel, of one row, and ordinary small ones; some of a part of the frame.
-        width, height = self.pick((1, 1), (1, 300), (300, 1), (16, 16), (17, 15))
+        width, height = self.pick((1, 1), (1, 300), (300, 1), (8, 8), (8, 8), (17, 15))
         region = None
         if self.chance(0.2):
             x, y = self.random.integers(width), self.random.integers(height)
             region = (x, y, self.random.integers(x, width) + 1, self.random.integers(y, height) + 1)
         view = Camera.look_at(self.eye, self.random.normal(size=3) * 0.3 * self.scale, 1, 1)
+        lens = self.lens()
         if self.chance(0.3):
             half = self.pick(1e-9, 1.0, 1.0, 3.0, 3.0, 1e6) * self.scale
             span = self.scale * 10
@@ -250,6 +269,7 @@ class _Nasty:
                 region,
                 "orthographic",
                 *clip,
+                **lens,
             )
         half = self.pick(1e-9, 1e-3, 0.3, 0.3, 0.3, 1.0, 1e4)
         clip = self.pick((0.0, np.inf), (0.1, 100.0), (0.01, np.inf), (1e-3, 1e-3), (2.0, 6.0), (0.0, 1e30))
@@ -261,7 +281,19 @@ class _Nasty:
             region,
             clip_start=clip[0] * self.scale,
             clip_end=clip[1] * self.scale,
+            **lens,
         )
+
+    def lens(self) -> dict[str, Any]:
+        if self.chance(0.7):
+            return {}
+        return {
+            "aperture": self.pick(1e-30, 1e-3, 0.3, 3.0, 1e6) * self.scale,
+            "focus_distance": self.pick(1e-6, 1.0, 3.0, 1e9) * self.scale,
+            "blades": self.pick(0, 2, 3, 7),
+            "blade_rotation": self.pick(0.0, 1.0, 1e6),
+            "aperture_ratio": self.pick(1e-3, 1.0, 2.0, 1e3),
+        }
 
     def mesh(self) -> Mesh:
         vertices, triangles, normals = self._shape()
@@ -284,7 +316,18 @@ class _Nasty:
                 casts_shadow=not self.chance(0.15),
                 holdout=self.chance(0.15),
                 terminator_offset=self.pick(0.0, 0.1, 1.0),
+                attributes=self.attributes(len(triangles)),
             )
+
+    def attributes(self, count: int) -> dict[str, np.ndarray]:
+        if self.chance(0.5):
+            return {}
+        rows = count, self.pick(1, 3)
+        generated = self.random.uniform(-1, 2, (*rows, 3)) * self.pick(0.0, 1.0, 1e20)
+        tangent = self.random.normal(size=(*rows, 4)) * self.pick(0.0, 1.0, 1e20)
+        if count and self.chance(0.2):
+            generated[self.random.integers(count)] = self.pick(np.nan, np.inf)
+        return {"generated": generated, "tangent:": tangent}
 
     def _shape(self) -> tuple[Any, Any, Any]:
         kind = self.random.integers(8)
@@ -309,10 +352,78 @@ class _Nasty:
         return mesh.vertices, mesh.triangles, mesh.normals
 
     def material(self) -> Material:
+        if self.chance(0.7):
+            return Material(surface=self.closure())
         return Material(
             self.pick(0.8, 0.0, 1.0, 1e10, (1.0, 0.0, 0.5)),
             self.pick(0.0, 0.0, 1.0, 1e-30, 1e20, (0.0, 5.0, -1.0)),
         )
+
+    def number(self, *values: float) -> Any:
+        """A constant, or what varies between two, or is what no texture should be."""
+        a, b = self.pick(*values), self.pick(*values)
+        return a if self.chance(0.7) else _Wild(a, self.pick(b, b, b, b, np.nan, np.inf, 1e30, -1.0))
+
+    def colour(self) -> Any:
+        return self.number(0.0, 0.5, 0.8, 1.0, 1e10, 1e-30)
+
+    def vector(self) -> Any:
+        return self.pick(None, None, NORMAL, TOWARDS_VIEWER, GENERATED, _WildVector(), (0, 0, 1), (0, 0, 0))
+
+    def closure(self, depth: int = 0) -> Closure | None:
+        unit = (0.0, 1e-6, 1e-3, 0.1, 0.5, 1.0)
+        roughness, normal, tangent = self.number(*unit), self.vector(), self.vector()
+        distribution = self.pick("MULTI_GGX", "GGX", "BECKMANN", "ASHIKHMIN_SHIRLEY")
+        kind = self.random.integers(11 if depth < 3 else 7)
+        if kind == 0:
+            return Diffuse(self.colour(), roughness, normal)
+        if kind == 1:
+            return Translucent(self.colour(), normal)
+        if kind == 2:
+            return Transparent(self.colour())
+        if kind == 3:
+            return Emission(self.colour(), self.number(0.0, 1.0, 1e-30, 1e20, -1.0))
+        if kind == 4:
+            return self.pick(Holdout(), None)
+        if kind == 5:
+            anisotropy, rotation = self.number(0.0, 0.0, 0.7, -0.9, 1.0, -1.0), self.number(*unit, 1e6)
+            return Glossy(self.colour(), roughness, distribution, anisotropy, rotation, normal, tangent)
+        if kind == 6:
+            return Principled(
+                self.colour(),
+                metallic=self.number(*unit),
+                roughness=roughness,
+                ior=self.number(1.0, 1.5, 1.5, 0.0, 0.5, 1e3, 1e10, 1.0000001),
+                alpha=self.number(1.0, *unit),
+                normal=normal,
+                diffuse_roughness=self.number(0.0, *unit),
+                specular_ior_level=self.number(0.5, *unit, 10.0),
+                specular_tint=self.colour(),
+                anisotropic=self.number(0.0, *unit),
+                anisotropic_rotation=self.number(*unit),
+                tangent=tangent,
+                coat_weight=self.number(0.0, *unit),
+                coat_roughness=self.number(*unit),
+                coat_ior=self.number(1.0, 1.5, 4.0, 1e6),
+                coat_tint=self.colour(),
+                coat_normal=self.vector(),
+                emission_color=self.colour(),
+                emission_strength=self.number(0.0, 0.0, 1.0, 1e20, -1.0),
+                distribution=self.pick("MULTI_GGX", "GGX"),
+            )
+        parts = self.closure(depth + 1), self.closure(depth + 1)
+        return Add(*parts) if kind < 9 else Mix(self.number(*unit, 2.0), *parts)
+
+    def world(self) -> World:
+        colour, seen = self.pick(0.0, 1.0, 1e-30, 1e20, -1.0), self.chance(0.5)
+        if self.chance(0.7):
+            return World(colour, seen)
+        shape = self.pick((1, 1, 3), (2, 5, 3), (16, 32, 3), (1, 40, 3))
+        image = self.random.uniform(-0.2, 1, shape) ** self.pick(1, 9) * self.pick(0.0, 1.0, 1e-30, 1e20)
+        return World(colour, seen, image=image, rotation=place(rotation=self.random.normal(size=3))[:3, :3])
+
+    def light_count(self) -> int:
+        return int(self.pick(0, 1, 2, 3, 5, 10, 40, 80) if self.chance(0.7) else 1)
 
     def light(self) -> Light | None:
         power = self.pick(100.0, (1.0, 0.1, 0.0), 0.0, -5.0, (1.0, -1.0, 1.0), 1e-30, 1e10, 1e30)
@@ -363,3 +474,26 @@ class _Nasty:
     def _matrix(self, position: np.ndarray) -> np.ndarray:
         scale = self.pick(1.0, -1.0, (1, 1, 0), (1, 0, 1), 0.0, (1e-12, 1, 1), 1e-9, 1e9, (2, 0.5, -1))
         return place(position, self.random.normal(size=3), scale)
+
+
+@dataclass(frozen=True, eq=False)
+class _Wild(Value):
+    """A number that jumps between two from place to place."""
+
+    even: float
+    odd: float
+
+    def evaluate(self, points: Any) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            even = np.floor(points.position.sum(axis=0) / np.abs(points.position).max(initial=1e-30) * 7) % 2 == 0
+        return np.where(even, self.even, self.odd).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _WildVector(Value):
+    """Directions that have nothing to do with the surface, and some that are none."""
+
+    def evaluate(self, points: Any) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            vector = np.sin(points.position * 1e3) + value_at(NORMAL, points)
+            return (vector / np.abs(vector).max(axis=0)).astype(np.float32)

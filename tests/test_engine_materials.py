@@ -7,7 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scenes import PATCH, area_light, blocks, box, floor, patch_camera, pictures, place, studio
+from scenes import (
+    PATCH,
+    area_light,
+    assert_picture_is_sound,
+    blocks,
+    box,
+    floor,
+    patch_camera,
+    pictures,
+    place,
+    studio,
+)
 
 from engine_core import (
     AreaLight,
@@ -32,6 +43,7 @@ from engine_core.shading.closures import (
     Transparent,
 )
 from engine_core.shading.values import Value
+from engine_core.transport.direct_light import DirectLight, DirectLightOverTile, Pixels
 
 GLOSSY = (
     Material(surface=Glossy(0.7, 0.4)),
@@ -50,31 +62,30 @@ LIGHTS = {
     "sun": [SunLight(3.0, direction=(0.3, 0.2, -1), angle=0.3)],
     "world": [],
     "mesh": [],
-    "two": [PointLight(40.0, position=(1, -1, 3), radius=0.5), area_light(50.0)],
 }
+TOGETHER = ("rectangle", "mesh", "sphere ellipse", "disk grid", "spot sun world")
+"""Alone, and chosen among; each alone with --full."""
 
 
-def glossy_studio(name: str) -> Scene:
-    scene = studio(
-        32, 32, LIGHTS[name], world=World(0.5 if name == "world" else 0.0, visible_to_camera=False)
-    )
+def glossy_studio(names: str, edge: int) -> Scene:
+    lights = [light for name in names.split() for light in LIGHTS[name]]
+    world = World(0.5 if "world" in names else 0.0, visible_to_camera=False)
+    scene = studio(edge, edge, lights, world=world)
     meshes = scene.meshes
-    if name == "mesh":
+    if "mesh" in names:
         lamp = box((-0.3, -1, 2.5), (0.3, -0.5, 2.6), materials=2, visible_to_camera=False)
         meshes = (*meshes, lamp)
     return replace(scene, meshes=meshes, materials=GLOSSY)
 
 
-@pytest.mark.parametrize("name", LIGHTS)
-def test_lights_and_lobes_alone_and_together_converge_to_one_picture(name):
-    scene = glossy_studio(name)
+def assert_modes_agree(scene: Scene, seeds: int) -> None:
     ways = (
         {"samples": 16, "integrator": "control_variates"},
         {"samples": 16, "integrator": "sobol"},
-        {"samples": 64, "integrator": "sobol", "direct_sampling": "light"},
-        {"samples": 256, "integrator": "sobol", "direct_sampling": "bsdf"},
+        {"samples": 32, "integrator": "sobol", "direct_sampling": "light"},
+        {"samples": 64, "integrator": "sobol", "direct_sampling": "bsdf"},
     )
-    estimates = [blocks(pictures(scene, 12, **way)).mean(axis=-1) for way in ways]
+    estimates = [blocks(pictures(scene, seeds, **way)).mean(axis=-1) for way in ways]
     means = [e.mean(axis=(0, 1, 2)) for e in estimates]
     errors = [e.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(len(e)) for e in estimates]
     for mean, error in zip(means, errors, strict=True):
@@ -83,6 +94,19 @@ def test_lights_and_lobes_alone_and_together_converge_to_one_picture(name):
     by_block = [(e.mean(axis=0), e.std(axis=0, ddof=1) / np.sqrt(len(e))) for e in estimates[:2]]
     (a, da), (b, db) = by_block
     assert (np.abs(a - b) < 5 * np.sqrt(da**2 + db**2) + 1e-3 * b).all()
+    # That both combined are the better for it is what the bounds above live on.
+    assert errors[1] < 1e-2 * means[1]
+
+
+@pytest.mark.parametrize("names", TOGETHER)
+def test_lights_and_lobes_alone_and_together_converge_to_one_picture(names):
+    assert_modes_agree(glossy_studio(names, 16), 8)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", LIGHTS)
+def test_they_converge_to_one_picture_with_less_noise(name):
+    assert_modes_agree(glossy_studio(name, 32), 24)
 
 
 def seen(closure, *lights, above=(), world=0.0, samples=64, **settings) -> np.ndarray:
@@ -202,3 +226,66 @@ def test_area_lights_shine_through_glass():
     light = AreaLight(10.0, light_to_world=place((0, 0, 3)), size=(1, 1))
     clear, dim = seen(Diffuse(0.8), light), seen(Diffuse(0.8), light, above=glass)
     assert np.allclose(dim[:3], 0.25 * clear[:3], rtol=1e-3)
+
+
+# -- what nobody would make on purpose -------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Everywhere(Value):
+    """A texture of one value."""
+
+    value: float
+
+    def evaluate(self, points):
+        return np.full(len(points), self.value, np.float32)
+
+
+def test_a_grey_albedo_may_be_one_number():
+    grey, colour = (seen(Diffuse(c, roughness=0.5), OVERHEAD) for c in (0.6, (0.6, 0.6, 0.6)))
+    assert grey[0] > 0.1 and np.allclose(grey, colour, rtol=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", ["roughness", "coat_roughness", "ior", "normal", "alpha", "metallic"])
+def test_textures_count_as_0_where_they_are_not_finite(field, value):
+    inputs = {"roughness": 0.5, "coat_weight": 0.5, "coat_roughness": 0.2}
+    sun = SunLight(1.0, direction=(0, 0.3, -1), angle=0.3)
+    got, wanted = (
+        seen(Principled(0.6, **inputs | {field: Everywhere(v)}), sun, samples=4) for v in (value, 0.0)
+    )
+    assert np.array_equal(got, wanted)
+
+
+def test_alpha_is_not_negative_where_more_than_all_light_passes():
+    sheet = Add(Transparent(1.0), Transparent(0.5))
+    got = seen(Diffuse(0.8), OVERHEAD, above=[(1.0, sheet)])
+    assert got[3] == pytest.approx(1) and got[0] == pytest.approx(1.5**2 * 0.8 / np.pi, rel=1e-4)
+    scene = Scene(patch_camera(), [floor()], [Material(surface=sheet)], (), World(1.0))
+    assert np.allclose(render(scene, Settings(samples=4, transparent=True)).combined, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("integrator", ["control_variates", "sobol", "cv_only"])
+@pytest.mark.parametrize(
+    "closure", [Emission(1e30, 1e30), Transparent(1e30), Translucent(1e30), Emission(1e30, Everywhere(1e30))]
+)
+def test_what_overflows_leaves_a_finite_picture(closure, integrator):
+    scene = studio(16, 16, [area_light(1e30)], world=World(1e20))
+    sheets = [floor(2.0, z, materials=2) for z in (1.5, 1.6, 1.7)]
+    materials = (*scene.materials, Material(surface=closure))
+    scene = replace(scene, meshes=(*scene.meshes, *sheets), materials=materials)
+    film = render(scene, Settings(samples=4, integrator=integrator, standard_error=True))
+    assert_picture_is_sound(film)
+
+
+def test_quadratures_are_asked_often_whether_to_go_on():
+    """One has no other pause between its first point and its last."""
+    calls = []
+    scene = studio(16, 16, [area_light()])
+    integrand = DirectLightOverTile(DirectLight(scene), None, lambda: calls.append(1))
+    y, x = np.divmod(np.arange(64, dtype=np.int32), 8)
+    pixels = Pixels(x, y, np.zeros(64, np.int32))
+    hits = integrand.first(pixels, np.full((2, 64, 1), 0.5, np.float32))
+    before = len(calls)
+    integrand.rest(hits, None, np.full((2, len(hits.points), 1), 0.5, np.float32))
+    assert len(calls) == before + 1

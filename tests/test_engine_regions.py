@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine_core.integration.allocation import sample_counts
+from engine_core.integration.allocation import evenly_spread, learned_deviation, sample_counts
 from engine_core.integration.control_variate import ControlVariate
 from engine_core.integration.regions import BIN, SMALLEST, WHOLE, RegionTree, root_edges
 from engine_core.integration.residual import Overlaps
@@ -226,3 +226,31 @@ def test_counts_are_powers_of_two_within_the_budget(samples, chance):
     assert spent > 0.9 * min(samples, spent + 1) or samples < least
     order = np.argsort(error)
     assert count[order][-100:].mean() >= count[order][:100].mean()
+
+
+def test_a_pilot_corrects_what_the_nodes_predicted_but_has_no_say_in_its_own_bins():
+    random = np.random.default_rng(3)
+    bins = (96, 64)
+    predicted = random.uniform(0.5, 2, bins)
+    wrong = np.where(np.arange(96) < 48, 0.3, 3.0)[:, None]
+    pilot = evenly_spread(bins, 4, 0)
+    square = np.square(predicted * wrong * random.normal(size=bins))
+    found = learned_deviation(square, pilot, predicted) / (predicted * wrong)
+    for half in (slice(0, 38), slice(58, 96)):
+        assert abs(np.median(found[half]) - 1) < 0.2 and found[half].std() < 0.4
+    at = tuple(np.argwhere(pilot)[100])
+    changed = square.copy()
+    changed[at] += 100 * square.mean()
+    again = learned_deviation(changed, pilot, predicted) / (predicted * wrong)
+    # Of itself it moves the mean of the picture, of which it is one in 1,536, and that through others' eyes.
+    assert abs(again[at] / found[at] - 1) < 0.01
+    assert again[at[0] + 1, at[1]] > 1.5 * found[at[0] + 1, at[1]]
+
+
+@pytest.mark.parametrize("bins", [(64,), (128, 96), (24, 20, 16)])
+def test_a_part_of_the_bins_is_evenly_spread(bins):
+    chosen = evenly_spread(bins, 4, 5)
+    assert abs(chosen.mean() - 0.25) < 0.02
+    for axis in range(len(bins)):
+        halves = [half.mean() for half in np.array_split(chosen, 4, axis)]
+        assert np.ptp(halves) < 0.1

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from extension_scenes import add_cube, add_light, furnished
+from extension_scenes import add_cube, add_light, furnished, render
 
 LIGHTS = ("POINT", "SPOT", "SUN", "AREA")
 
@@ -27,6 +29,9 @@ class CheckingLayout:
         return CheckingLayout(self.shown)
 
     row = column = box = split = grid_flow = column_flow = _part
+
+    def operator(self, *_: Any, **__: Any) -> SimpleNamespace:
+        return SimpleNamespace()
 
     def separator(self, **_: Any) -> None:
         pass
@@ -115,3 +120,78 @@ def test_nothing_shows_for_another_engine(cv: ModuleType, scene: Any) -> None:
     other = context_of(scene)
     other.engine = "CYCLES"
     assert not any(draw(panel, other) for panel in panels(cv))
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("DATA_PT_camera_dof", "camera"),
+        ("DATA_PT_camera_dof_aperture", "camera"),
+        ("DATA_PT_lens", "camera"),
+        ("DATA_PT_uv_texture", "mesh"),
+        ("DATA_PT_vertex_colors", "mesh"),
+        ("DATA_PT_mesh_attributes", "mesh"),
+        ("DATA_PT_texture_space", "mesh"),
+    ],
+)
+def test_blenders_panels_show_for_what_is_rendered(cv: ModuleType, scene: Any, name: str, data: str) -> None:
+    """They would not if a panel, or the one it stands in, were not open to the engine."""
+    import bpy
+
+    obj = scene.camera if data == "camera" else add_cube(scene)
+    context = context_of(scene, **{data: obj.data, "object": obj})
+    while name:
+        panel = getattr(bpy.types, name)
+        assert panel.poll(context), name
+        name = getattr(panel, "bl_parent_id", "")
+
+
+def test_depth_of_field_can_be_set(cv: ModuleType, scene: Any) -> None:
+    """All that the exporter reads of it."""
+    import bpy
+
+    dof = scene.camera.data.dof
+    context = SimpleNamespace(camera=scene.camera.data)
+    shown: list[str] = []
+    for name in ("DATA_PT_camera_dof", "DATA_PT_camera_dof_aperture"):
+        panel = getattr(bpy.types, name)
+        for method in ("draw_header", "draw"):
+            if hasattr(panel, method):
+                getattr(panel, method)(SimpleNamespace(layout=CheckingLayout(shown)), context)
+    wanted = {"use_dof", "focus_object", "focus_distance", "aperture_fstop", "aperture_blades"}
+    assert wanted | {"aperture_rotation", "aperture_ratio"} <= set(shown) <= set(dof.bl_rna.properties.keys())
+
+
+@pytest.mark.parametrize("sampling", ("mis", "light", "bsdf"))
+def test_direct_light_and_transparency_reach_the_engine(cv: ModuleType, scene: Any, sampling: str) -> None:
+    settings = cv.cv_render.properties.engine_settings
+    plain = settings(scene, scene.view_layers[0])
+    assert (plain.direct_sampling, plain.transparent_bounces) == ("mis", 8)
+    scene.cv_render.direct_sampling, scene.cv_render.transparent_bounces = sampling, 3
+    chosen = settings(scene, scene.view_layers[0])
+    assert (chosen.direct_sampling, chosen.transparent_bounces) == (sampling, 3)
+
+
+def test_debug_prints_what_a_render_took(
+    cv: ModuleType, scene: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import bpy
+
+    add_light(scene, "AREA")
+    render(scene, tmp_path)
+    sys.stdout.flush()
+    assert "camera rays" not in capfd.readouterr().out
+    bpy.app.debug = True
+    try:
+        render(scene, tmp_path)
+    finally:
+        bpy.app.debug = False
+    sys.stdout.flush()
+    lines = capfd.readouterr().out.splitlines()
+    first = lines.index('CV Render: statistics of view layer "ViewLayer"')
+    table = dict(line.strip().split("  ", 1) for line in lines[first + 1 :] if line.startswith("  "))
+    for name in ("control variate", "volume", "camera rays", "shadow rays", "regions", "nodes", "samples"):
+        assert name in table
+    stages = [float(v) for k, v in table.items() if k.startswith("seconds") and k != "seconds in all"]
+    assert all(0 <= seconds <= float(table["seconds in all"]) for seconds in stages)
+    assert {"seconds export", "seconds building", "seconds sampling"} <= set(table)

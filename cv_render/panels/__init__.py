@@ -1,9 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels: our own, and Blender's own opened to the engine."""
 
-from . import blender, light, material, messages, object, performance, sampling, view_layer, world
+from . import (
+    blender,
+    light,
+    light_paths,
+    material,
+    messages,
+    object,
+    performance,
+    sampling,
+    view_layer,
+    world,
+)
 
-MODULES = (sampling, performance, messages, view_layer, light, world, material, object, blender)
+MODULES = (
+    sampling,
+    light_paths,
+    performance,
+    messages,
+    view_layer,
+    light,
+    world,
+    material,
+    object,
+    blender,
+)
 
 
 def register() -> None:

@@ -11,7 +11,6 @@ from ..engine import ENGINE
 
 REPLACED = frozenset(
     (
-        "DATA_PT_camera_dof",
         "DATA_PT_falloff_curve",
         "DATA_PT_light",
         "DATA_PT_preview",
@@ -27,7 +26,7 @@ REPLACED = frozenset(
 )
 """Panels that we have a version of our own of, or nothing to show in."""
 
-ALSO = frozenset(("EEVEE_MATERIAL_PT_context_material",))
+ALSO = frozenset(("DATA_PT_camera_dof", "DATA_PT_camera_dof_aperture", "EEVEE_MATERIAL_PT_context_material"))
 """Panels that fit, although Blender keeps them from engines of the general kind."""
 
 

@@ -34,9 +34,11 @@ class CVRENDER_RENDER_PT_sampling_advanced(EnginePanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.cv_render
-        row = properties_layout(self).row(align=True)
+        column = properties_layout(self)
+        row = column.row(align=True)
         row.prop(settings, "seed")
         row.prop(settings, "use_animated_seed", text="", icon="TIME")
+        column.prop(settings, "direct_sampling")
 
 
 class CVRENDER_RENDER_PT_film(EnginePanel, bpy.types.Panel):

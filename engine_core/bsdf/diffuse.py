@@ -76,6 +76,7 @@ class OrenNayar(Lobe):
         multiple = tint * np.divide(viewer, lost, out=np.zeros_like(viewer), where=lost > 0)
         single = np.empty((2, weight.shape[1]), np.float32)
         single[0], single[1] = a, b
+        multiple = np.broadcast_to(multiple, weight.shape)  # a grey albedo may be a number
         return cls(weight, normal, towards_viewer, single, multiple, surface=surface)
 
     def evaluate(self, which: np.ndarray | None, to_light: np.ndarray) -> tuple[np.ndarray, None]:

@@ -26,7 +26,7 @@ class Film:
     control_variate, residual : (H, W, 3) float32, the two terms of control variates' radiance; else 0.
     standard_error : (H, W, 3) float32, of the radiance; inf where nothing is known of it.
     messages : what could not be rendered as asked, one sentence each.
-    statistics : counts and seconds by stage, for people.
+    statistics : counts and seconds by stage, for people (docs/development.md says what each is).
     stopped_by : "samples", "noise", "time" or "cancel".
     """
 

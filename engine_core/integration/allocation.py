@@ -1,18 +1,60 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where residual samples go: to the bins, and to the regions in a bin, where f - h is large.
 
-Everything here follows from the control variate's own nodes, never from the samples that it directs:
-so the estimate stays unbiased.
+Everything here follows from the control variate's own nodes and from other bins' samples, never from
+the samples that it directs: so the estimate stays unbiased.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from .standard_error import box_sums
+
+NEIGHBOURHOODS = ((8, 0.5), (3, 4.0))
+"""Bins to either side whose pilot samples tell of a bin, and how many bins' worth those further off, or the
+whole picture, weigh beside them."""
+
+PLACE = 1 / 64
+"""Part of what the neighbours' samples show that is believed of a bin whatever the nodes say of it."""
+
 _OCTAVE = 64
 """Steps an octave in which the scale of a budget is sought."""
 
-_GOLDEN = 0.6180339887498949
+_GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
+
+
+def learned_deviation(square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """(*bins) deviation of a sample: what the nodes predicted, as right as it was in the neighbourhood.
+
+    square : (*bins) f - h squared of a sample in each bin of a pilot. pilot : (*bins) bool, which those are.
+    predicted : (*bins) the nodes' deviation. A bin's own sample has no say, so that it may be kept.
+    """
+    variance = np.square(predicted)
+    variance += 1e-4 * variance.mean() + 1e-300
+    found, said = np.where(pilot, square, 0), np.where(pilot, variance, 0)
+
+    def around(values: np.ndarray, reach: int) -> np.ndarray:
+        return np.maximum(box_sums(values[None], reach)[0] - values, 0)
+
+    ratio = found.sum() / max(said.sum(), 1e-300)
+    mean = found.sum() / max(pilot.sum(), 1)
+    for reach, faith in NEIGHBOURHOODS:
+        count = around(pilot.astype(float), reach)
+        seen, hoped = around(found, reach), around(said, reach)
+        prior = faith * np.where(count > 0, hoped / np.maximum(count, 1), variance)
+        ratio = (seen + prior * ratio) / (hoped + prior)
+        mean = (seen + faith * mean) / (count + faith)
+    return np.sqrt(variance * ratio + PLACE * mean)
+
+
+def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray:
+    """(*bins) bool: one bin in so many, as a lattice of two generators of low discrepancy has it."""
+    place = np.full(bins, seed % 1009 * _GOLDEN)
+    for axis, n in enumerate(bins):
+        step = _PLASTIC ** (axis + 1) if len(bins) > 1 else _GOLDEN
+        place += (np.arange(n) * step).reshape([-1 if a == axis else 1 for a in range(len(bins))])
+    return place % 1.0 < 1 / one_in
 
 
 def sample_counts(

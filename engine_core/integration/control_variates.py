@@ -137,9 +137,7 @@ class ControlVariates:
             )
             # One sample that may be left out tells its worth by itself: none is drawn twice.
             twice &= chance >= 1
-            due, chance, twice = (
-                a.reshape(bins) for a in (due * _drawn(chance, problem.seed), chance, twice)
-            )
+            due, chance, twice = (a.reshape(bins) for a in (due * drawn(chance, problem.seed), chance, twice))
             points = staged_points(
                 "sobol", len(bins), problem.ndim - len(bins), self.split, problem.seed + 1, np.float64
             )
@@ -207,7 +205,7 @@ def _pilot(problem: Problem, index: np.ndarray) -> np.ndarray:
     return np.sqrt((variance + variance.mean()) / 2)
 
 
-def _drawn(chance: np.ndarray, seed: int) -> np.ndarray:
+def drawn(chance: np.ndarray, seed: int) -> np.ndarray:
     """(B,) whether a bin is sampled: with its chance, and of their sum's bins to within one."""
     if (chance >= 1).all():
         return np.ones(len(chance), bool)

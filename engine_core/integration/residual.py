@@ -128,8 +128,9 @@ class ResidualSampler:
         chance: np.ndarray,
         twice: np.ndarray,
         after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
-        later: bool = False,
         plain: np.ndarray | None = None,
+        have: np.ndarray | None = None,
+        before: tuple[np.ndarray, Spread] | None = None,
     ) -> tuple[np.ndarray, Spread]:
         """Mean residual (C, B) of a tile's bins, and its spread.
 
@@ -137,47 +138,55 @@ class ResidualSampler:
         chance : (B,) that a bin was to be sampled; its mean is divided by it.
         twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
         after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
-        later : the second ``count`` samples of the nets, not the first.
         plain : (B,) bins that h does not serve: f itself is sampled there, as by any net.
+        have : (B,) powers of two, or 0: samples of ``count`` that were taken before, in every bin for sure.
+        before : what this function returned of those.
         """
         plain = np.zeros(len(count), bool) if plain is None else plain
-        overlaps = Overlaps(tile, density, error, self._even, (count > 0) & ~plain)
-        total = np.zeros((len(tile.channels), len(count)))
-        spread = Spread.empty(*total.shape)
+        have = np.zeros(len(count), np.int64) if have is None else have
+        wanted = count > have
+        overlaps = Overlaps(tile, density, error, self._even, wanted & ~plain)
+        if before is None:
+            total = np.zeros((len(tile.channels), len(count)))
+            spread = Spread.empty(*total.shape)
+        else:
+            total, spread = before[0].copy(), Spread(before[1].half.copy(), before[1].twice.copy())
         by_chance = chance < 1
+        # The means of both nets, of bins that are sampled twice.
+        apart = np.where(twice & (have > 0), spread.twice, 0) / np.sqrt(2)
+        means = np.stack([total + apart, total - apart])
         kinds = [
-            (which & kind, of, again, keys_)
-            for which, again, keys_ in ((count > 0, False, keys), ((count > 0) & twice, True, keys ^ SECOND))
+            (which & kind, of, net, keys_)
+            for which, net, keys_ in ((wanted, 0, keys), (wanted & twice, 1, keys ^ SECOND))
             for kind, of in ((~plain, overlaps), (plain, None))
         ]
-        for bins_, of, again, keys_ in kinds:
-            for n in np.unique(count[bins_]):
-                chosen = np.flatnonzero(bins_ & (count == n))
-                width = max(1, self._batch // int(n * self._split))
+        for bins_, of, net, keys_ in kinds:
+            for chosen in _alike(np.flatnonzero(bins_), count, have):
+                n, old = int(count[chosen[0]]), int(have[chosen[0]])
+                new = n - old
+                width = max(1, self._batch // (new * self._split))
                 for low in range(0, len(chosen), width):
                     part = chosen[low : low + width]
-                    residual, stage = self._residual(integrand, bins, keys_, tile, of, part, int(n), later)
-                    halves = residual.reshape(len(residual), len(part), min(int(n), 2), -1).mean(axis=3)
-                    mean = halves.mean(axis=2) / chance[part]
-                    if again:
-                        spread.twice[:, part] = (total[:, part] - mean) / np.sqrt(2)
-                        mean = (total[:, part] + mean) / 2
-                    elif n > 1:
-                        spread.half[:, part] = (halves[:, :, 0] - halves[:, :, 1]) / 2
-                    total[:, part] = mean
+                    residual, stage = self._residual(integrand, bins, keys_, tile, of, part, old, new)
+                    residual = residual.reshape(len(residual), len(part), -1)
+                    first, second = _halves(residual, means[net][:, part], old, n, self._split)
+                    means[net][:, part] = (first + second) / 2 / chance[part]
+                    if n > 1 and net == 0:
+                        spread.half[:, part] = (first - second) / 2
                     if after_batch is not None:
-                        after_batch(part, stage, int(n))
+                        after_batch(part, stage, new)
+        again = wanted & twice
+        total[:, wanted] = means[0][:, wanted]
+        total[:, again] = (means[0][:, again] + means[1][:, again]) / 2
+        spread.twice[:, again] = (means[0][:, again] - means[1][:, again]) / np.sqrt(2)
         spread.twice[:, by_chance] = total[:, by_chance]
         return total, spread
 
-    def _residual(
-        self, integrand, bins, keys, tile, overlaps, part, n, later=False
-    ) -> tuple[np.ndarray, Any]:
+    def _residual(self, integrand, bins, keys, tile, overlaps, part, start, n) -> tuple[np.ndarray, Any]:
         """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage.
 
-        overlaps : None for f alone.
+        overlaps : None for f alone. start, n : which points of the nets.
         """
-        start = n if later else 0
         screen = self._points[0].points(keys[part], start, n)
         rest = self._points[1].points(keys[part], start * self._split, n * self._split)
         if overlaps is None:
@@ -206,3 +215,30 @@ class ResidualSampler:
         if weight is not None:
             residual *= weight
         return residual, stage
+
+
+def _alike(bins: np.ndarray, count: np.ndarray, have: np.ndarray) -> list[np.ndarray]:
+    """``bins`` (B',), parted into those that go from equally many samples to equally many."""
+    if not bins.size:
+        return []
+    code = (count << 32 | have).take(bins)
+    order = np.argsort(code, kind="stable")
+    return np.split(bins.take(order), np.flatnonzero(np.diff(code.take(order))) + 1)
+
+
+def _halves(
+    new: np.ndarray, before: np.ndarray, old: int, count: int, split: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (C, B) over both halves of ``count`` samples, the first ``old`` of which had the mean ``before``.
+
+    new : (C, B, (count - old) * split) the others.
+    """
+    if count == 1:
+        mean = new.mean(axis=2)
+        return mean, mean
+    half = count // 2
+    if old == half:
+        return before, new.mean(axis=2)
+    cut = (half - old) * split
+    first = new[:, :, :cut].sum(axis=2) / split
+    return (first + old * before) / half, new[:, :, cut:].mean(axis=2)

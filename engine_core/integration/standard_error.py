@@ -63,16 +63,6 @@ class Spread:
         self.half[:, where] = other.half
         self.twice[:, where] = other.twice
 
-    def double(self, where: np.ndarray, before: np.ndarray, new: np.ndarray, other: Spread) -> None:
-        """As many samples again in bins ``where`` (B',): means (C, B') before, and of the new ones alone.
-
-        other : the new ones' spread. Old and new are the halves of what there is now.
-        """
-        twice = ~np.isnan(other.twice[0])
-        # The mean of two nets has half the variance of one, of which `half` tells.
-        self.half[:, where] = (before - new) / 2 * np.where(twice, np.sqrt(2), 1)
-        self.twice[:, where] = (self.twice[:, where] + other.twice) / 2
-
 
 def standard_error(
     spread: Spread,
@@ -119,9 +109,9 @@ def standard_error(
             few = FEW * evidence[:, kind].mean(axis=1)
             whole = (truth.sum(axis=1) + TYPICAL * few) / np.maximum(basis.sum(axis=1) + few, 1e-300)
             prior = TRUST_OF_ALL * basis.sum(axis=1) / seen.sum()
-            near = _box(truth.reshape(shape), FAR).reshape(channels, total) + (whole * prior)[:, None]
+            near = box_sums(truth.reshape(shape), FAR).reshape(channels, total) + (whole * prior)[:, None]
             scale = near / np.maximum(
-                _box(basis.reshape(shape), FAR).reshape(channels, total) + prior[:, None], 1e-300
+                box_sums(basis.reshape(shape), FAR).reshape(channels, total) + prior[:, None], 1e-300
             )
         variance[:, kind] = (evidence * scale)[:, kind]
     variance[:, twice & (chance >= 1)] /= 2
@@ -132,11 +122,11 @@ def standard_error(
 def _pooled(values: np.ndarray, weights: np.ndarray, shape: tuple[int, ...], reach: int) -> np.ndarray:
     """(C, B) sums of values over sums of weights (B,), both over the neighbourhood."""
     weights = np.broadcast_to(weights, values.shape)
-    found, hoped = (_box(a.reshape(shape), reach).reshape(values.shape) for a in (values, weights))
+    found, hoped = (box_sums(a.reshape(shape), reach).reshape(values.shape) for a in (values, weights))
     return np.where(hoped > 0, found / np.where(hoped > 0, hoped, 1), 0)
 
 
-def _box(values: np.ndarray, reach: int) -> np.ndarray:
+def box_sums(values: np.ndarray, reach: int) -> np.ndarray:
     """Sums over the bins within ``reach`` along each axis but the first, and within the picture."""
     for axis in range(1, values.ndim):
         size = values.shape[axis]

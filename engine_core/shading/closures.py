@@ -44,8 +44,8 @@ class Diffuse(Closure):
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
         if terms.wants_lobes:
-            color = np.maximum(value_at(self.color, points), 0)
-            _diffuse(points, weight * color, color, value_at(self.roughness, points), self.normal, terms)
+            color = np.maximum(_given(self.color, points), 0)
+            _diffuse(points, weight * color, color, _given(self.roughness, points), self.normal, terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Translucent(Closure):
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
         if terms.wants_lobes:
-            weight = _full(weight * np.maximum(value_at(self.color, points), 0), points)
+            weight = _full(weight * np.maximum(_given(self.color, points), 0), points)
             normal, surface = _normal(self.normal, points, glossy=True)
             terms.add(DiffuseTransmission(weight, normal, points.towards_viewer, surface=surface))
 
@@ -69,7 +69,7 @@ class Transparent(Closure):
     color: Any = 1.0
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
-        terms.transmit(weight * np.maximum(value_at(self.color, points), 0))
+        terms.transmit(weight * np.maximum(_given(self.color, points), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Emission(Closure):
     strength: Any = 1.0
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
-        terms.emit(weight * value_at(self.color, points) * value_at(self.strength, points))
+        terms.emit(weight * _given(self.color, points) * _given(self.strength, points))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Mix(Closure):
     second: Closure | None
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
-        factor = np.clip(value_at(self.factor, points), 0, 1)
+        factor = np.clip(_given(self.factor, points), 0, 1)
         for closure, share in ((self.first, 1 - factor), (self.second, factor)):
             if closure is not None and np.any(share):
                 closure.shade(points, weight * share, terms)
@@ -138,10 +138,10 @@ class Glossy(Closure):
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
         if not terms.wants_lobes:
             return
-        color = np.maximum(value_at(self.color, points), 0)
+        color = np.maximum(_given(self.color, points), 0)
         normal, surface = _normal(self.normal, points, glossy=True)
-        alpha = np.clip(value_at(self.roughness, points), 0, 1) ** 2
-        anisotropy = np.clip(value_at(self.anisotropy, points), np.float32(-0.99), np.float32(0.99))
+        alpha = np.clip(_given(self.roughness, points), 0, 1) ** 2
+        anisotropy = np.clip(_given(self.anisotropy, points), np.float32(-0.99), np.float32(0.99))
         tangent = None
         x = y = alpha
         if np.any(np.abs(anisotropy) > 1e-4):
@@ -183,27 +183,27 @@ class Principled(Closure):
     distribution: str = "MULTI_GGX"
 
     def shade(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
-        alpha = np.clip(value_at(self.alpha, points), 0, 1)
+        alpha = np.clip(_given(self.alpha, points), 0, 1)
         if np.any(alpha < 1):
             terms.transmit(weight * (1 - alpha))
             weight = weight * alpha
-        strength = value_at(self.emission_strength, points)
+        strength = _given(self.emission_strength, points)
         if not terms.wants_lobes and not np.any(strength):
             return
         weight = self._coat(points, weight, terms)
         if np.any(strength):
-            terms.emit(weight * value_at(self.emission_color, points) * strength)
+            terms.emit(weight * _given(self.emission_color, points) * strength)
         if terms.wants_lobes:
             self._base(points, weight, terms)
 
     def _coat(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> np.ndarray:
         """Adds the coat; returns what it leaves of ``weight``."""
-        amount = np.maximum(value_at(self.coat_weight, points), 0)
+        amount = np.maximum(_given(self.coat_weight, points), 0)
         if not np.any(amount > NEGLIGIBLE):
             return weight
-        ior = np.maximum(value_at(self.coat_ior, points), 1)
-        tint = np.maximum(value_at(self.coat_tint, points), 0)
-        width = np.clip(value_at(self.coat_roughness, points), 0, 1) ** 2
+        ior = np.maximum(_given(self.coat_ior, points), 1)
+        tint = np.maximum(_given(self.coat_tint, points), 0)
+        width = np.clip(_given(self.coat_roughness, points), 0, 1) ** 2
         normal, surface = _normal(self.coat_normal, points, glossy=True)
         facets = Facets(normal, points, width, width)
         darkening = facets.darkening(fresnel.mean_dielectric(ior))
@@ -226,12 +226,12 @@ class Principled(Closure):
         return weight
 
     def _base(self, points: ShadingPoints, weight: np.ndarray, terms: SurfaceTerms) -> None:
-        color = np.maximum(value_at(self.base_color, points), 0)
-        tint = np.maximum(value_at(self.specular_tint, points), 0)
-        metallic = np.clip(value_at(self.metallic, points), 0, 1)
+        color = np.maximum(_given(self.base_color, points), 0)
+        tint = np.maximum(_given(self.specular_tint, points), 0)
+        metallic = np.clip(_given(self.metallic, points), 0, 1)
         normal, surface = _normal(self.normal, points, glossy=True)
-        x = y = np.clip(value_at(self.roughness, points), 0, 1) ** 2
-        anisotropic = np.clip(value_at(self.anisotropic, points), 0, 1)
+        x = y = np.clip(_given(self.roughness, points), 0, 1) ** 2
+        anisotropic = np.clip(_given(self.anisotropic, points), 0, 1)
         tangent = None
         if np.any(anisotropic > 0):
             aspect = np.sqrt(1 - np.float32(0.9) * anisotropic)
@@ -253,8 +253,8 @@ class Principled(Closure):
             if not np.any(weight):
                 return
 
-        given_ior = np.maximum(value_at(self.ior, points), np.float32(1e-5))
-        level = np.maximum(value_at(self.specular_ior_level, points), 0)
+        given_ior = np.maximum(_given(self.ior, points), np.float32(1e-5))
+        level = np.maximum(_given(self.specular_ior_level, points), 0)
         reflectance = fresnel.normal_reflectance(given_ior) * (2 * level)
         ior = fresnel.ior_of(reflectance)
         ior = np.where(level == np.float32(0.5), given_ior, np.where(given_ior < 1, 1 / ior, ior))
@@ -271,7 +271,7 @@ class Principled(Closure):
             terms.add(DielectricGGX.of(_full(share, points), *place, **more))
             weight = weight * _left(weight, darkening * facets.albedo(f0, ior))
 
-        roughness = value_at(self.diffuse_roughness, points)
+        roughness = _given(self.diffuse_roughness, points)
         _diffuse(points, weight * color, color, roughness, self.normal, terms)
 
 
@@ -325,7 +325,7 @@ def _normal(value: Any, points: ShadingPoints, glossy: bool) -> tuple[np.ndarray
     """
     normal = points.normal
     if value is not None:
-        normal = value_at(value, points)
+        normal = _given(value, points)
         scale = inverse_length(normal)
         normal = np.where(scale > 0, normal * scale, points.normal)
     if glossy:
@@ -343,8 +343,16 @@ def _tangent(value: Any, turn: Any, normal: np.ndarray, points: ShadingPoints) -
         # Into the surface first: what a bent normal makes of that differs from what it makes of this.
         direction = direction - dot(direction, points.normal) * points.normal
     else:
-        direction = value_at(value, points)
-    return tangent_along(direction, normal, value_at(turn, points))
+        direction = _given(value, points)
+    return tangent_along(direction, normal, _given(turn, points))
+
+
+def _given(value: Any, points: ShadingPoints) -> np.ndarray:
+    """A closure's input at the points; what is not finite counts as 0."""
+    array = value_at(value, points)
+    if not np.isfinite(array.sum()):
+        array = np.where(np.isfinite(array), array, np.float32(0))
+    return array
 
 
 def _full(value: np.ndarray, points: ShadingPoints) -> np.ndarray:

@@ -7,6 +7,9 @@ import numpy as np
 
 from ..bsdf.lobe import Lobe
 
+LARGEST = np.float32(1e30)
+"""Radiance beyond which products of a colour and a strength are cut, before they overflow."""
+
 
 class SurfaceTerms:
     """Filled by `closures.Closure.shade`.
@@ -28,7 +31,7 @@ class SurfaceTerms:
         self.lobes.append(lobe)
 
     def emit(self, radiance: np.ndarray) -> None:
-        self.emission = self.emission + radiance
+        self.emission = self.emission + np.clip(radiance, -LARGEST, LARGEST)
 
     def transmit(self, weight: np.ndarray) -> None:
         """weight : (3, 1), (3, N), () or (N,)."""

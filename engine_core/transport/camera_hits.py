@@ -14,6 +14,7 @@ from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.vectors import take
 from ..integration.sobol import hash_combine
 from ..scene import Scene
+from ..shading.terms import LARGEST
 from .camera_rays import CameraRays
 from .emitters import Emitters
 from .surface_shading import LobeGatherer, Slot, SurfaceShader
@@ -56,6 +57,7 @@ class CameraHits:
     cell : (P,) ascending rows of the tile's light choice; None where that knows no cells.
     slots : lobes of the BSDFs at the points; None if all are Lambertian.
     first : (M + 1,) where the points of each of M rays begin; None if each of the M has but one.
+    crossings : rays that went on behind transparent surfaces.
     """
 
     values: np.ndarray
@@ -64,6 +66,7 @@ class CameraHits:
     cell: np.ndarray | None
     slots: list[Slot] | None = None
     first: np.ndarray | None = None
+    crossings: int = 0
 
     @property
     def lane(self) -> np.ndarray | None:
@@ -201,10 +204,11 @@ class CameraStage:
         radiance, alpha = values[RGB], values[ALPHA]
         gatherer, found, count = LobeGatherer(), [], 0
         ray, throughput, start = np.arange(n), None, np.zeros(n, np.float32)
-        here = origins
+        here, crossings = origins, 0
         for crossing in range(self._crossings + 1):
             last = crossing == self._crossings
             if crossing:
+                crossings += len(ray)
                 reach = np.float32(self.rays.reach) - start
                 points, distance = self._surfaces.first_hit(here, self._of(directions, ray), reach)
             else:
@@ -255,9 +259,13 @@ class CameraStage:
             if on.size == 0 or last:
                 break
             throughput = take(through, on) if throughput is None else take(throughput * through, on)
+            np.minimum(throughput, LARGEST, out=throughput)
             here = self._surfaces.beyond(points.take(on))
             ray, start = ray.take(on), start.take(on)
-        return self._gathered(values, depth, gatherer, found, count)
+        np.clip(alpha, 0, 1, out=alpha)  # surfaces may let more light through than there is
+        hits = self._gathered(values, depth, gatherer, found, count)
+        hits.crossings = crossings
+        return hits
 
     def _gathered(
         self,

@@ -13,9 +13,11 @@ Lights and lobes are sampled at the same point of primary space and summed, weig
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Lock
+from time import perf_counter
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, inverse_length, take
 from ..integration.sobol import hash_combine, unit_float
 from ..scene import Scene
+from ..shading.terms import LARGEST
 from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
 from .light_choice import (
@@ -32,14 +35,21 @@ from .light_choice import (
     PILOT_GRID,
     WEIGHED,
     CandidateLights,
+    Clusters,
     EveryLight,
     LightChoice,
     WeighedLights,
-    mean_irradiance,
+    clusters_of_cells,
 )
 from .light_samples import LightSamples, SceneLights
 from .shadows import Shadows
 from .surface_shading import Slot, SurfaceShader
+
+CAMERA, SHADOW, BSDF, CROSSING = "camera rays", "shadow rays", "BSDF rays", "transparent crossings"
+"""Kinds of rays: into the scene, to sampled lights, along directions that lobes sampled, and on behind
+transparent surfaces."""
+
+NON_FINITE = "non-finite samples"
 
 __all__ = [
     "ALPHA",
@@ -57,13 +67,12 @@ __all__ = [
 class Reflected:
     """Light samples that arrive: which (K,) of the N, more than once for several lights; radiance (3, K).
 
-    shadow_rays : how many rays that took. non_finite : samples that were not finite, and count as 0.
+    counts : rays by kind that it took, and samples that were not finite, which count as 0.
     """
 
     which: np.ndarray
     radiance: np.ndarray
-    shadow_rays: int
-    non_finite: int
+    counts: Counter[str] = field(default_factory=Counter)
 
     @staticmethod
     def joined(parts: Sequence[Reflected]) -> Reflected:
@@ -72,12 +81,11 @@ class Reflected:
         return Reflected(
             np.concatenate([part.which for part in parts]),
             np.concatenate([part.radiance for part in parts], axis=1),
-            sum(part.shadow_rays for part in parts),
-            sum(part.non_finite for part in parts),
+            sum((part.counts for part in parts), Counter()),
         )
 
 
-NOTHING = Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32), 0, 0)
+NOTHING = Reflected(np.zeros(0, np.intp), np.zeros((3, 0), np.float32))
 
 
 class DirectLight:
@@ -87,6 +95,7 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size. channels, transparent : as in `CameraStage`.
+    seconds : that building it took, by stage.
     """
 
     def __init__(
@@ -102,16 +111,23 @@ class DirectLight:
         sampling : of what is not diffuse, "mis", "light" or "bsdf".
         crossings : how many transparent surfaces a ray may cross.
         """
+        times = [perf_counter()]
         frame = frame_of(scene)
         triangles, self.messages = gather_triangles(scene.meshes, frame)
+        times.append(perf_counter())
         shader = SurfaceShader(scene.materials, triangles, frame)
         transmits = shader.transmits
+        times.append(perf_counter())
         self._surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
+        times.append(perf_counter())
         materials = shader.with_mean_emission(scene.materials)
         groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame)
         self.messages += messages
         self.lights = SceneLights(groups, shader, triangles)
-        self.any_mesh, self.only_points = self.lights.any_mesh, self.lights.only_points
+        times.append(perf_counter())
+        stages = ("triangles", "materials", "Embree", "emitters")
+        self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
+        self.chooses_triangle, self.only_points = self.lights.chooses_triangle, self.lights.only_points
         self._stage = CameraStage(
             scene, frame, self._surfaces, shader, groups, transparent, normals, crossings
         )
@@ -120,7 +136,7 @@ class DirectLight:
         self._weighed = WeighedLights(self.lights)
         self._sampling = sampling
         self.screen_dimensions = self._stage.dimensions
-        self.rest_dimensions = 3 if len(self.lights) > 1 or self.any_mesh else 2
+        self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
         self._one_material = len(materials) == 1
 
@@ -137,12 +153,12 @@ class DirectLight:
             return None
         if len(self.lights) <= WEIGHED:
             return self._weighed
-        return CandidateLights(self.lights, self._pilot_irradiance(cell_x, cell_y, between))
+        return CandidateLights(self.lights, self._clusters(cell_x, cell_y, between))
 
-    def _pilot_irradiance(
+    def _clusters(
         self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None]
-    ) -> np.ndarray:
-        """(K, L) irradiance at the hits of jittered pilot rays in each cell."""
+    ) -> list[Clusters]:
+        """Clusters of lights for each of K cells, from the hits of jittered pilot rays there."""
         row, column = np.divmod(np.arange(PILOT_GRID**2), PILOT_GRID)
         step = np.float32(CELL / PILOT_GRID)
         pilot = np.arange(PILOT_GRID**2)
@@ -159,7 +175,7 @@ class DirectLight:
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
         normal.reshape(3, -1)[:, lanes] = points.normal
-        return mean_irradiance(self.lights, position, normal, found, between)
+        return clusters_of_cells(self.lights, position, normal, found, between)
 
     # -- the two stages ----------------------------------------------------------------------------
 
@@ -226,7 +242,7 @@ class DirectLight:
         lit, bad = _finite(weight)
         if lit.size < weight.size:
             samples, cosine, weight = samples.take(lit), cosine.take(lit), weight.take(lit)
-        arrive, _, rays = self._arriving(points, samples, cosine)
+        arrive, _, counts = self._arriving(points, samples, cosine, SHADOW, bad)
         at, weight = samples.at.take(arrive), weight.take(arrive)
         strength = self.lights.strength(points, samples, arrive)
         if self._one_material:
@@ -235,7 +251,7 @@ class DirectLight:
             material = self._surfaces.triangles.material.take(points.triangle.take(at))
             radiance = take(self._reflectance, material) * strength
             radiance *= weight
-        return Reflected(samples.which.take(arrive), radiance, rays, bad)
+        return Reflected(samples.which.take(arrive), radiance, counts)
 
     def _reflect(self, hits: CameraHits, samples: LightSamples) -> Reflected:
         """Light samples reflected by lobes of all kinds, weighed against sampling these."""
@@ -261,12 +277,13 @@ class DirectLight:
         lit, bad = _finite(value.max(axis=0))
         if lit.size < value.shape[1]:
             samples, unit, value = samples.take(lit), take(unit, lit), take(value, lit)
-        arrive, passed, rays = self._arriving(points, samples, dot(take(points.normal, samples.at), unit))
+        cosine = dot(take(points.normal, samples.at), unit)
+        arrive, passed, counts = self._arriving(points, samples, cosine, SHADOW, bad)
         value = take(value, arrive)
         value *= self.lights.strength(points, samples, arrive)
         if passed is not None:
             value *= passed
-        return Reflected(samples.which.take(arrive), value, rays, bad)
+        return Reflected(samples.which.take(arrive), value, counts)
 
     def _sample_lobe(self, hits: CameraHits, slot: Slot, at: np.ndarray, u: np.ndarray, choice) -> Reflected:
         """Lights that directions sampled by a lobe meet: at points ``at`` (K,) by u (2, K)."""
@@ -291,33 +308,36 @@ class DirectLight:
         lit, bad = _finite(value.max(axis=0))
         samples, value, direction = samples.take(lit), take(value, lit), take(direction, lit)
         cosine = dot(take(points.normal, samples.at), direction)
-        arrive, passed, rays = self._arriving(points, samples, cosine)
+        arrive, passed, counts = self._arriving(points, samples, cosine, BSDF, bad)
         value = take(value, arrive)
         if passed is not None:
             value *= passed
         which = samples.which.take(arrive)
-        return Reflected(which if lanes is None else lanes.take(which), value, rays, bad)
+        return Reflected(which if lanes is None else lanes.take(which), value, counts)
 
     def _arriving(
-        self, points: SurfacePoints, samples: LightSamples, cosine: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """Which samples (J,) arrive, what part (3, J) of them (None: all), and how many rays that took.
+        self, points: SurfacePoints, samples: LightSamples, cosine: np.ndarray, kind: str, bad: int
+    ) -> tuple[np.ndarray, np.ndarray | None, Counter[str]]:
+        """Which samples (J,) arrive, what part (3, J) of them (None: all), and the counts of `Reflected`.
 
-        cosine : (K,) of the directions to the shading normals.
+        cosine : (K,) of the directions to the shading normals. kind : what the rays count as.
+        bad : samples that were not finite.
         """
         casts_shadow = self.lights.casts_shadow
         if casts_shadow.all():
-            return self._shadows.arriving(points, samples, cosine)
+            arrive, passed, crossings = self._shadows.arriving(points, samples, cosine)
+            return arrive, passed, Counter({kind: len(cosine), CROSSING: crossings, NON_FINITE: bad})
         casts = np.broadcast_to(
             casts_shadow.take(0 if samples.light is None else samples.light), cosine.shape
         )
         lanes = np.flatnonzero(casts)
-        arrive, passed, rays = self._shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
+        arrive, passed, crossings = self._shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
+        counts = Counter({kind: len(lanes), CROSSING: crossings, NON_FINITE: bad})
         part = np.ones((3, len(casts)), np.float32)
         part[:, lanes] = 0
         part[:, lanes.take(arrive)] = 1 if passed is None else passed
         arrive = np.flatnonzero(part.any(axis=0))
-        return arrive, None if passed is None else take(part, arrive), rays
+        return arrive, None if passed is None else take(part, arrive), counts
 
 
 def _finite(value: np.ndarray) -> tuple[np.ndarray, int]:
@@ -339,7 +359,7 @@ class DirectLightOverTile:
     """The integrand with one tile's light choice, and what its evaluation cost.
 
     check : called before every batch; may raise, to give up.
-    camera_rays, shadow_rays, non_finite : counts so far.
+    counts : so far, rays by kind and what was not finite.
     """
 
     staged = True
@@ -355,20 +375,26 @@ class DirectLightOverTile:
         self._check = check
         self.rest_dimensions = 2 if isinstance(choice, EveryLight) else integrand.rest_dimensions
         self._counting = Lock()
-        self.camera_rays = self.shadow_rays = self.non_finite = 0
+        self.counts = Counter(dict.fromkeys((CAMERA, SHADOW, BSDF, CROSSING, NON_FINITE), 0))
 
     def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         self._check()
+        hits = self._integrand.first(pixels, _inset(u))
         with self._counting:
-            self.camera_rays += u[0].size
-        return self._integrand.first(pixels, _inset(u))
+            self.counts[CAMERA] += u[0].size
+            self.counts[CROSSING] += hits.crossings
+        return hits
 
     def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self._check()
         reflected = self._integrand.rest(hits, lane, _inset(u), self._choice)
         with self._counting:
-            self.shadow_rays += reflected.shadow_rays
-            self.non_finite += reflected.non_finite
-        return reflected.which, reflected.radiance
+            self.counts.update(reflected.counts)
+        radiance = reflected.radiance
+        if not -LARGEST <= radiance.min(initial=0) <= radiance.max(initial=0) <= LARGEST:
+            np.nan_to_num(radiance, copy=False)
+            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
+        return reflected.which, radiance
 
 
 def _inset(u: np.ndarray) -> np.ndarray:

@@ -4,18 +4,22 @@
 A light is chosen in proportion to a quick estimate of the unshadowed irradiance that it gives the
 shaded point itself. Where the lights are too many for that, the picture is parted into cells, aligned
 to the whole frame; pilot rays through each cell, whose points come from the cell alone and which do
-not enter the picture, find the lights that matter there. Those are weighed at every point, all the
-others together by their mean in the cell. A part of the chances is the same for all lights, so that
-none is ever missed: the estimate is unbiased whatever the estimates are.
+not enter the picture, find a few lights that stand for all (in the spirit of LightSlice: J. Ou and
+F. Pellacini, 2011). Those are weighed at every point; each other light goes with the one whose
+light falls over the cell as its own does, or with those that are as good as constant there. So the
+cost of a sample hardly depends on the number of lights. A part of the chances is the same for all
+lights, so that none is ever missed: the estimate is unbiased whatever the estimates are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from ..geometry.vectors import take
 from .emitters import Emitters
 
 CELL = 32
@@ -24,14 +28,30 @@ CELL = 32
 PILOT_GRID = 8
 """Pilot rays a cell, along each edge."""
 
-WEIGHED = 64
-"""How many lights are weighed at every point."""
+WEIGHED = 32
+"""How many lights are all weighed at every point."""
 
-_ALIKE = 0.05
+CANDIDATES = 64
+"""How many lights of a cell are weighed at every point at most, where there are more."""
+
+TOLERANCE = 0.05
+"""The error of all lights' probabilities at the pilots that needs no further candidate."""
+
+_ALIKE = np.float32(0.05)
 """The part of the chances that all lights have alike."""
+
+_ALIKE_OF_CLUSTER = 0.1
+"""The part of the chances of a cluster that its lights have alike."""
+
+_MISSED, _MISSED_WEIGHT = 4, 0.04
+"""Every how many pilots a point is added for surfaces that they missed, and what it counts beside them."""
+
+_LARGEST = np.float32(1e30)
+"""What no estimate exceeds, so that their sums are finite."""
 
 # Lights x points evaluated at once, so that the temporary arrays stay in the cache.
 _CHUNK = 1 << 17
+_BELOW_ONE = np.float32(1 - 2.0**-24)
 
 Choice = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -44,7 +64,7 @@ class LightChoice(Protocol):
     ) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
-        position, normal : (3, M). cell : (M,) ascending. w : (M, S) uniform in (0, 1).
+        position, normal : (3, M). cell : (M,). w : (M, S) uniform in (0, 1).
         """
         ...
 
@@ -80,37 +100,11 @@ class Lights:
                 )
                 if low < high
             ]
-        estimate = np.concatenate(parts, axis=0)
-        if not np.isfinite(estimate.sum()):
-            np.nan_to_num(estimate, copy=False, posinf=0)
+        estimate = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=0)
+        if not estimate.max(initial=0) <= _LARGEST:
+            np.nan_to_num(estimate, copy=False, posinf=_LARGEST)
+            np.minimum(estimate, _LARGEST, out=estimate)
         return estimate
-
-
-class WeighedLights:
-    """Every light weighed at every point."""
-
-    def __init__(self, lights: Lights) -> None:
-        self._lights = lights
-
-        self._chances = np.full(len(lights), 1 / max(len(lights), 1))
-
-    def choose(self, position, normal, cell, w) -> Choice:
-        parts = []
-        for part in self._parts(len(w)):
-            weight = self._lights.irradiance(position[:, part], normal[:, part])
-            parts.append(_choose(weight, self._chances, w[part]))
-        return _joined(parts)
-
-    def pdf(self, light, position, normal, cell) -> np.ndarray:
-        result = np.empty(len(light), np.float32)
-        for part in self._parts(len(light)):
-            weight = self._lights.irradiance(position[:, part], normal[:, part])
-            result[part] = _pdf(weight, self._chances, light[part])
-        return result
-
-    def _parts(self, count: int) -> Iterator[slice]:
-        step = max(1, _CHUNK // len(self._lights))
-        return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
 class EveryLight:
@@ -120,116 +114,284 @@ class EveryLight:
     """
 
 
-class CandidateLights:
-    """For each of K cells, the lights that matter there weighed at every point, the others by their mean."""
+class WeighedLights:
+    """Every light weighed at every point."""
 
-    def __init__(self, lights: Lights, mean: np.ndarray) -> None:
-        """mean : (K, L) irradiance of every light over the cell, in some mean."""
-        count = len(lights)
+    def __init__(self, lights: Lights) -> None:
         self._lights = lights
-        self._candidates = np.sort(np.argpartition(-mean, WEIGHED, axis=1)[:, :WEIGHED], axis=1)
-        rest = mean.copy()
-        np.put_along_axis(rest, self._candidates, 0, axis=1)
-        self._rest = rest.sum(axis=1)
-        alike = np.ones_like(rest)
-        np.put_along_axis(alike, self._candidates, 0, axis=1)
-        alike /= count - WEIGHED
-        total = self._rest[:, None]
-        pdf = np.where(total > 0, 0.5 * rest / np.where(total > 0, total, 1) + 0.5 * alike, alike)
-        self._pdf = pdf.astype(np.float32)
-        cdf = np.cumsum(pdf, axis=1, dtype=np.float64)
-        self._cdf = cdf / cdf[:, -1:]
-        self._chances = np.append(np.full(WEIGHED, 1 / count), 1 - WEIGHED / count)
+        self._number = np.ones(len(lights), np.float32)
+
+    def choose(self, position, normal, cell, w) -> Choice:
+        parts = []
+        for part in _chunks(0, len(w), len(self._lights)):
+            slots = self._slots(position[:, part], normal[:, part])
+            parts.append(slots.pick(w[part])[:3])
+        return _joined(parts)
+
+    def pdf(self, light, position, normal, cell) -> np.ndarray:
+        result = np.empty(len(light), np.float32)
+        for part in _chunks(0, len(light), len(self._lights)):
+            slots = self._slots(position[:, part], normal[:, part])
+            result[part] = slots.chosen(slots.weight, light[part]) / slots.upper[-1]
+        return result
+
+    def _slots(self, position: np.ndarray, normal: np.ndarray) -> _Slots:
+        return _Slots(self._lights.irradiance(position, normal), self._number)
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """How the L lights are grouped in a cell: C candidates, each with the lights like it, and a rest.
+
+    A *slot* is a candidate with what goes with it; the rest is the last slot, if there is any.
+
+    candidates : (C,) ascending light numbers.
+    slot : (L,) of each light.
+    number : (slots,) float32, how many lights each has, candidates not counted.
+    mass : (slots,) float32, irradiance of those in the mean over the cell.
+    inverse : (C,) float32, 1 / irradiance of a candidate in that mean; most : (C,) their largest ratio.
+    share : (L,) float32, a light's part of what goes with its candidate; 0 for candidates.
+    order : (L - C,) lights that are no candidates, by their slot; table : (L - C,) float64, slot + share
+        of all up to this one. first : (slots + 1,) where each slot begins in these.
+    """
+
+    candidates: np.ndarray
+    slot: np.ndarray
+    number: np.ndarray
+    mass: np.ndarray
+    inverse: np.ndarray
+    most: np.ndarray
+    share: np.ndarray
+    order: np.ndarray
+    table: np.ndarray
+    first: np.ndarray
+
+    @staticmethod
+    def of(candidates: np.ndarray, slot: np.ndarray, mean: np.ndarray, largest: np.ndarray) -> Clusters:
+        """slot : (L,) places in ``candidates`` (C,), C for the rest. mean, largest : (L,) irradiance."""
+        lights, count = len(slot), len(candidates)
+        own = mean.take(candidates).astype(np.float64)
+        inverse = np.where(own > 1e-30, 1 / np.maximum(own, 1e-30), 0)
+        other = np.ones(lights, bool)
+        other[candidates] = False
+        slots = count + int((slot == count).any())
+        number = np.bincount(slot[other], minlength=slots)
+        mass = np.bincount(slot[other], mean[other], minlength=slots)
+        even = 1 / np.maximum(number, 1).take(slot)
+        total = mass.take(slot)
+        share = np.where(total > 0, mean / np.where(total > 0, total, 1), even)
+        share = np.where(other, (1 - _ALIKE_OF_CLUSTER) * share + _ALIKE_OF_CLUSTER * even, 0)
+        order = np.flatnonzero(other)
+        order = order[np.argsort(slot[order], kind="stable")]
+        first = np.append(0, np.cumsum(number))
+        here = slot[order]
+        up_to = np.append(0, np.cumsum(share[order]))
+        return Clusters(
+            candidates,
+            slot,
+            number.astype(np.float32),
+            mass.astype(np.float32),
+            inverse.astype(np.float32),
+            (largest.take(candidates) * inverse).astype(np.float32),
+            share.astype(np.float32),
+            order,
+            here + np.clip(up_to[1:] - up_to.take(first.take(here)), 0, 1),
+            first,
+        )
+
+
+def _clusters(irradiance: np.ndarray, weight: np.ndarray) -> list[Clusters]:
+    """From pilots: irradiance (K, L, P) of every light at P points of each cell; weight (K, P) of these.
+
+    The mean and the largest value in equal parts are what is called mean here: a light that only a
+    corner of the cell sees counts.
+    """
+    largest = (irradiance * (weight > 0)[:, None, :]).max(axis=2)
+    weighed = irradiance * weight[:, None, :]
+    total = np.maximum(weight.sum(axis=1, keepdims=True), np.float32(1e-30))
+    mean = 0.5 * weighed.sum(axis=2) / total + 0.5 * weighed.max(axis=2)
+    chosen, slot, count = _candidates(irradiance, weight / total)
+    result = []
+    for row in range(len(count)):
+        # In ascending order, as `Lights.irradiance` takes them.
+        order = np.argsort(chosen[row, : count[row]])
+        place = np.empty(count[row] + 1, np.intp)
+        place[order] = np.arange(count[row])
+        place[-1] = count[row]
+        candidates = chosen[row].take(order)
+        here = place.take(np.minimum(slot[row], count[row]))
+        result.append(Clusters.of(candidates, here, mean[row], largest[row]))
+    return result
+
+
+def _candidates(irradiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Candidates (K, C) by falling need, of which light (K, L) each one goes with, and how many (K,) suffice.
+
+    A light goes with the candidate whose irradiance over the pilots is most nearly a multiple of its own,
+    or with the rest if it is most nearly constant. The next candidate is always the light that is
+    worst served in terms of its probability, until the error of all probabilities is `TOLERANCE`.
+    """
+    cells, lights, _ = irradiance.shape
+    total = irradiance.sum(axis=1, keepdims=True)
+    root = np.sqrt(weight)
+    profile = irradiance * (root[:, None, :] / np.where(total > 0, total, 1))
+    square = np.einsum("klp,klp->kl", profile, profile)
+    served = np.einsum("klp,kp->kl", profile, root) ** 2
+    most = min(CANDIDATES, lights)
+    row = np.arange(cells)
+    slot = np.full((cells, lights), most)
+    chosen = np.empty((cells, most), np.intp)
+    count = np.full(cells, most)
+    for number in range(most):
+        error = np.maximum(square - served, 0)
+        enough = np.sqrt(error).sum(axis=1) <= TOLERANCE
+        count[enough & (count > number) & (number > 0)] = number
+        if (count <= number).all():
+            break
+        going = count > number
+        error[row[:, None], chosen[:, :number]] = -1
+        worst = error.argmax(axis=1)
+        chosen[:, number] = worst
+        direction = profile[row, worst]
+        norm = np.sqrt((direction * direction).sum(axis=1, keepdims=True))
+        direction /= np.maximum(norm, np.float32(1e-30))
+        fit = np.einsum("klp,kp->kl", profile, direction) ** 2
+        better = (fit > served) & going[:, None]
+        slot[better] = number
+        served[better] = fit[better]
+        slot[row[going], worst[going]] = number
+        # A candidate needs no service any more, and goes with no other.
+        served[row[going], worst[going]] = np.inf
+    return chosen, np.where(slot == most, lights, slot), count
+
+
+class CandidateLights:
+    """For each of K cells, candidates weighed at every point, and all other lights by these."""
+
+    def __init__(self, lights: Lights, clusters: Sequence[Clusters]) -> None:
+        self._lights = lights
+        self._clusters = clusters
 
     def choose(self, position, normal, cell, w) -> Choice:
         parts = [
-            self._choose(position[:, part], normal[:, part], row, w[part]) for part, row in self._parts(cell)
+            self._choose(position[:, part], normal[:, part], clusters, w[part])
+            for part, clusters in self._parts(cell)
         ]
         return _joined(parts)
 
     def pdf(self, light, position, normal, cell) -> np.ndarray:
         result = np.empty(len(light), np.float32)
-        for part, row in self._parts(cell):
-            candidates, chosen = self._candidates[row], light[part]
-            slot = np.searchsorted(candidates, chosen)
-            slot[candidates.take(slot, mode="clip") != chosen] = WEIGHED
-            weight = self._weight(position[:, part], normal[:, part], row)
-            # What is no candidate's chance is the rest's, and the light's share of it.
-            share = np.where(slot == WEIGHED, self._pdf[row].take(chosen), np.float32(1))
-            result[part] = _pdf(weight, self._chances, slot) * share
+        if (np.diff(cell) < 0).any():
+            order = np.argsort(cell, kind="stable")
+            position, normal = take(position, order), take(normal, order)
+            result[order] = self.pdf(light.take(order), position, normal, cell.take(order))
+            return result
+        for part, clusters in self._parts(cell):
+            slot, share = clusters.slot.take(light[part]), clusters.share.take(light[part])
+            slots, own = self._slots(position[:, part], normal[:, part], clusters)
+            whole, first = slots.chosen(slots.weight, slot), slots.chosen(own, slot)
+            result[part] = np.where(share > 0, (whole - first) * share, first) / slots.upper[-1]
         return result
 
-    def _parts(self, cell: np.ndarray) -> Iterator[tuple[slice, int]]:
+    def _parts(self, cell: np.ndarray) -> Iterator[tuple[slice, Clusters]]:
         """Runs of one cell, not too long."""
         starts = np.flatnonzero(np.diff(cell, prepend=-1))
-        step = _CHUNK // WEIGHED
         for first, stop in zip(starts, np.append(starts[1:], len(cell)), strict=True):
-            for start in range(first, stop, step):
-                yield slice(start, min(start + step, stop)), int(cell[first])
+            clusters = self._clusters[int(cell[first])]
+            for part in _chunks(first, stop, len(clusters.number)):
+                yield part, clusters
 
-    def _weight(self, position: np.ndarray, normal: np.ndarray, cell: int) -> np.ndarray:
-        weight = np.empty((WEIGHED + 1, position.shape[1]), np.float32)
-        weight[:-1] = self._lights.irradiance(position, normal, self._candidates[cell])
-        weight[-1] = self._rest[cell]
-        return weight
+    def _slots(self, position: np.ndarray, normal: np.ndarray, c: Clusters) -> tuple[_Slots, np.ndarray]:
+        """The slots, and of each (slots, M) the candidate's own part of its weight."""
+        count = len(c.candidates)
+        own = np.zeros((len(c.number), position.shape[1]), np.float32)
+        own[:count] = self._lights.irradiance(position, normal, c.candidates)
+        weight = np.empty_like(own)
+        others = weight[:count]
+        np.multiply(own[:count], c.inverse[:, None], out=others)
+        np.minimum(others, c.most[:, None], out=others)
+        others *= c.mass[:count, None]
+        others += own[:count]
+        weight[count:] = c.mass[count:, None]
+        number = c.number.copy()
+        number[:count] += 1
+        slots = _Slots(weight, number)
+        own[:count] += slots.alike
+        # With nothing beside it, a candidate has all of its slot, whatever was rounded.
+        alone = np.flatnonzero(c.number == 0)
+        own[alone] = weight[alone]
+        return slots, own
 
-    def _choose(self, position: np.ndarray, normal: np.ndarray, cell: int, w: np.ndarray) -> Choice:
-        slot, pdf, w = _choose(self._weight(position, normal, cell), self._chances, w)
-        light = np.append(self._candidates[cell], 0).take(slot)
-        others = np.flatnonzero(slot == WEIGHED)
-        if others.size:
-            cdf, x = self._cdf[cell], w[others].astype(np.float64)
-            chosen = np.searchsorted(cdf, x, side="right")
-            # Rounding may point at the table's end, or at a candidate, which has no part in it.
-            chosen = np.minimum(chosen, int(np.flatnonzero(self._pdf[cell])[-1]))
-            light[others] = chosen
-            share = self._pdf[cell].take(chosen)
-            stretched = (x - cdf.take(chosen)) / share + 1
-            pdf[others] *= share
-            w[others] = np.clip(stretched, 0, np.float32(1 - 2.0**-24))
-        return light, pdf, w
+    def _choose(self, position: np.ndarray, normal: np.ndarray, c: Clusters, w: np.ndarray) -> Choice:
+        slots, own = self._slots(position, normal, c)
+        slot, chance, w, at = slots.pick(w)
+        # The candidate comes first in its slot.
+        first = own.reshape(-1).take(at)
+        first /= slots.weight.reshape(-1).take(at)
+        light = c.candidates.take(slot, mode="clip")
+        other = np.flatnonzero(w >= first)
+        part = first
+        x = (w.take(other) - first.take(other)) / (1 - first.take(other))
+        w /= np.maximum(first, np.float32(1e-37))
+        if other.size:
+            slot, x = slot.take(other), np.minimum(x, _BELOW_ONE).astype(np.float64)
+            place = np.searchsorted(c.table, slot + x, side="right")
+            place = np.clip(place, c.first.take(slot), c.first.take(slot + 1) - 1)
+            light[other] = chosen = c.order.take(place)
+            share = c.share.take(chosen)
+            part[other] = (1 - first.take(other)) * share
+            w[other] = (slot + x - c.table.take(place)) / share + 1
+        np.clip(w, 0, _BELOW_ONE, out=w)
+        return light, chance * part, w
 
 
-def _choose(weight: np.ndarray, chances: np.ndarray, w: np.ndarray) -> Choice:
-    """Slots (M * S,) in proportion to ``weight`` (L, M), ``_ALIKE`` of the time to ``chances`` (L,).
+class _Slots:
+    """A distribution over K slots at M points.
 
-    Overwrites ``weight``.
+    weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides.
     """
-    _mix(weight, chances)
-    upper = np.empty_like(weight)
-    upper[0] = weight[0]
-    for before, here, out in zip(upper[:-1], weight[1:], upper[1:], strict=True):
-        np.add(before, here, out=out)
-    total = upper[-1]
-    x = w * total[:, None]
-    slot = np.zeros(w.shape, np.uint8)
-    for bound in upper[:-1]:
-        slot += x >= bound[:, None]
-    slot = slot.reshape(-1).astype(np.intp)
-    flat = slot * len(total) + np.repeat(np.arange(len(total)), w.shape[1])
-    chosen = weight.reshape(-1).take(flat)
-    stretched = x.reshape(-1) - upper.reshape(-1).take(flat)
-    stretched /= chosen
-    stretched += 1
-    np.clip(stretched, 0, np.float32(1 - 2.0**-24), out=stretched)
-    return slot, chosen / np.repeat(total, w.shape[1]), stretched
+
+    def __init__(self, weight: np.ndarray, number: np.ndarray) -> None:
+        """weight : (K, M), is overwritten. number : (K,) float32, lights in each slot."""
+        total = weight.sum(axis=0)
+        alike = total * (_ALIKE / ((1 - _ALIKE) * number.sum()))
+        self.alike = np.where(total > np.float32(1e-30), alike, np.float32(1))
+        self.weight, self.upper = weight, np.empty_like(weight)
+        part = np.empty_like(total)
+        for k, many in enumerate(number):
+            np.multiply(self.alike, many, out=part)
+            weight[k] += part
+            np.add(self.upper[k - 1] if k else np.float32(0), weight[k], out=self.upper[k])
+
+    def pick(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slots (M * S,), their chances, ``w`` (M, S) stretched, and where they are in ``weight``."""
+        total = self.upper[-1]
+        x = w * total[:, None]
+        slot = np.zeros(w.shape, np.uint8)
+        for bound in self.upper[:-1]:
+            slot += x >= bound[:, None]
+        slot = slot.reshape(-1).astype(np.intp)
+        lanes = np.repeat(np.arange(len(total)), w.shape[1])
+        at = slot * len(total)
+        at += lanes
+        chosen = self.weight.reshape(-1).take(at)
+        stretched = x.reshape(-1) - self.upper.reshape(-1).take(at)
+        stretched /= chosen
+        stretched += 1
+        np.clip(stretched, 0, _BELOW_ONE, out=stretched)
+        chosen /= total.take(lanes)
+        return slot, chosen, stretched, at
+
+    @staticmethod
+    def chosen(weight: np.ndarray, slot: np.ndarray) -> np.ndarray:
+        """(M,) of ``weight`` (K, M) what is in one slot (M,) at each point."""
+        return weight.reshape(-1).take(slot * len(slot) + np.arange(len(slot)))
 
 
-def _pdf(weight: np.ndarray, chances: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """(M,) probabilities with which `_choose` takes ``slot`` (M,). Overwrites ``weight``."""
-    _mix(weight, chances)
-    chosen = weight.reshape(-1).take(slot * len(slot) + np.arange(len(slot)))
-    return chosen / weight.sum(axis=0)
-
-
-def _mix(weight: np.ndarray, chances: np.ndarray) -> None:
-    """Adds to ``weight`` (L, M) what all lights have alike."""
-    total = weight.sum(axis=0)
-    dark = total <= np.float32(1e-37)
-    if dark.any():
-        weight[:, dark] = chances.astype(np.float32)[:, None]
-        total = np.where(dark, np.float32(1), total)
-    weight += np.outer(chances, total * (_ALIKE / (1 - _ALIKE))).astype(np.float32)
+def _chunks(start: int, stop: int, rows: int) -> Iterator[slice]:
+    """Parts of so many points that ``rows`` times as many numbers stay in the cache."""
+    step = max(1, _CHUNK // rows)
+    return (slice(first, min(first + step, stop)) for first in range(start, stop, step))
 
 
 def _joined(parts: list[Choice]) -> Choice:
@@ -238,30 +400,57 @@ def _joined(parts: list[Choice]) -> Choice:
     )
 
 
-def mean_irradiance(
+def clusters_of_cells(
     lights: Lights,
     position: np.ndarray,
     normal: np.ndarray,
     found: np.ndarray,
     between: Callable[[], None] = lambda: None,
-) -> np.ndarray:
-    """(K, L) irradiance of every light over the pilots of each cell, 0 without any.
-
-    The mean and the largest value in equal parts: a light that only a corner of the cell sees counts.
+) -> list[Clusters]:
+    """The clusters of lights in K cells, from what pilots see there.
 
     position, normal : (3, K, P) float32, P pilots a cell. found : (K, P) bool, which of them hit.
     between : called now and then; may raise, to give up.
     """
-    cells, pilots = found.shape
-    result = np.zeros((cells, len(lights)), np.float32)
+    position, normal, weight = _with_missed(position, normal, found)
+    cells, pilots = weight.shape
     step = max(1, 8 * _CHUNK // (len(lights) * pilots))
-    # Each cell is summed over its own pilots alone, in one order, so that its distribution is the same
-    # whatever other cells it is computed with.
+    result = []
+    # Nothing is summed over more than one cell, so that a cell's distribution is the same whatever other
+    # cells it is computed with.
     for start in range(0, cells, step):
         between()
         part = slice(start, start + step)
         where = (position[:, part].reshape(3, -1), normal[:, part].reshape(3, -1))
-        estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots) * found[part]
-        count = np.maximum(found[part].sum(axis=1), 1).astype(np.float32)
-        result[part] = (0.5 * estimate.sum(axis=2) / count + 0.5 * estimate.max(axis=2)).T
+        estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots)
+        result += _clusters(np.ascontiguousarray(estimate.swapaxes(0, 1)), weight[part])
     return result
+
+
+def _with_missed(
+    position: np.ndarray, normal: np.ndarray, found: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pilots and their weights (K, P'), with some of little weight added for surfaces that they missed.
+
+    These lie between two pilots, where something may be whose surface turns any way.
+    """
+    some = np.arange(0, found.shape[1], _MISSED)
+    other = (some + found.shape[1] // 2 + _MISSED // 2) % found.shape[1]
+    along = ((np.arange(len(some)) % 4 + np.float32(0.5)) / 4).astype(np.float32)
+    here, there = take(position, some), take(position, other)
+    between = here + along * (there - here)
+    anyhow = np.broadcast_to(_all_ways(len(some)).T[:, None, :], between.shape)
+    weight = _MISSED_WEIGHT * (take(found, some) & take(found, other))
+    return (
+        np.concatenate([position, between], axis=2),
+        np.concatenate([normal, anyhow], axis=2),
+        np.concatenate([found, weight], axis=1).astype(np.float32),
+    )
+
+
+def _all_ways(count: int) -> np.ndarray:
+    """(count, 3) float32 unit vectors, evenly over the sphere (a spiral of golden angles)."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1).astype(np.float32)

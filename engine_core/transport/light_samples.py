@@ -50,6 +50,7 @@ class SceneLights(Lights):
     """Every light of a scene, numbered group after group.
 
     casts_shadow : (L,) bool. any_mesh : whether one is a mesh. only_points : whether none has a size.
+    chooses_triangle : whether one has several triangles, one of which must be chosen.
     """
 
     def __init__(self, groups: Sequence[Emitters], shader: SurfaceShader, triangles: Triangles) -> None:
@@ -57,6 +58,7 @@ class SceneLights(Lights):
         self._shader = shader
         self._triangles = triangles
         self.any_mesh = any(group.is_mesh for group in groups)
+        self.chooses_triangle = any(group.is_mesh and group.chooses for group in groups)
         self.only_points = all(group.is_point for group in groups)
         counts = [len(group) for group in groups]
         self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.vectors import take
+from ..shading.terms import LARGEST
 from .surface_shading import SurfaceShader
 
 
@@ -35,7 +36,8 @@ class Shadows:
     def arriving(
         self, points: SurfacePoints, towards: Towards, cosine: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """Which (J,) arrive at all, what part (3, J) of each (None: the whole), and the rays that it took.
+        """Which (J,) arrive at all, what part (3, J) of each (None: the whole), and how many further rays
+        looked for transparent surfaces.
 
         cosine : (K,) of the directions to the points' shading normals.
         """
@@ -44,11 +46,11 @@ class Shadows:
         )
         arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
         if not self._surfaces.any_transparent:
-            return arrive, None, len(origins)
+            return arrive, None, 0
         reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
         part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
         some = np.flatnonzero(part.any(axis=0))
-        return arrive.take(some), take(part, some), len(origins) + rays
+        return arrive.take(some), take(part, some), rays
 
     def _part(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, int]:
         """(3, K) what transparent surfaces leave of the light along rays that nothing opaque blocks."""
@@ -66,7 +68,8 @@ class Shadows:
             if crossing == self._most:
                 part[:, ray] = 0
                 break
-            part[:, ray] *= self._shader.transparency(points, -directions.T)
+            passed = take(part, ray) * self._shader.transparency(points, -directions.T)
+            part[:, ray] = np.minimum(passed, LARGEST)
             on = np.flatnonzero(part[:, ray].any(axis=0))
             if on.size == 0:
                 break

@@ -129,7 +129,9 @@ class SurfaceShader:
         row = np.flatnonzero(self._triangles.material == number)
         per_triangle = int(np.clip(MEAN_POINTS // len(row), 1, 256))
         row = row[:: max(1, len(row) // MEAN_POINTS)]
-        corner, a, b = (self._triangles.vertices[self._triangles.indices[row, k]] for k in range(3))
+        corners = (self._triangles.vertices[self._triangles.indices[row, k]] for k in range(3))
+        # Large triangles' areas overflow float32.
+        corner, a, b = (vertices.astype(np.float64) for vertices in corners)
         normal = np.cross(a - corner, b - corner)
         area = np.repeat(np.linalg.norm(normal, axis=1), per_triangle)
         # The R2 sequence (M. Roberts, 2018), folded into the triangle.

@@ -39,7 +39,7 @@ def concentric_disk(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def regular_polygon(
     corners: int, rotation: float, u: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Uniform points (x, y) of a regular polygon in the unit circle; an edge's middle lies at ``rotation``."""
+    """Uniform points (x, y) of a regular polygon in the unit circle, an edge's middle at ``rotation``."""
     scaled = u * np.float32(corners)
     number = np.minimum(np.floor(scaled), np.float32(corners - 1))
     root = np.sqrt(scaled - number)

@@ -25,6 +25,7 @@ class MeshEmitters(Emitters):
 
     A light is a cluster of neighbouring triangles of one material; ``w`` chooses among them.
 
+    chooses : whether a light has several triangles, so that ``w`` matters.
     row : (E,) int32, the scene's number of each emissive triangle.
     light_of : (T,) int32, the light in this group that each triangle of the scene is part of, or -1.
     """
@@ -46,6 +47,7 @@ class MeshEmitters(Emitters):
         counts = np.array([len(r) for r in rows])
         self._start = np.concatenate([[0], np.cumsum(counts)])
         light = np.repeat(np.arange(len(rows)), counts)
+        self.chooses = bool(counts.max() > 1)
         self.row = row.astype(np.int32)
         self.light_of, self._number = np.full((2, len(triangles)), -1, np.int32)
         self.light_of[row] = light
@@ -164,6 +166,9 @@ class MeshEmitters(Emitters):
         return estimate / (square + reach * reach)
 
 
+ALONE = 8
+"""Up to how many emissive triangles of a scene are a light each: then none has to be chosen of a light."""
+
 CLUSTERS = 256
 """About how many clusters all emissive triangles of a scene are parted into."""
 
@@ -186,7 +191,7 @@ def emissive_clusters(materials: Sequence[Material], triangles: Triangles) -> li
     material = triangles.material[row]
     order = np.lexsort((code, material))
     row, material = row[order], material[order]
-    size = max(8, -(-row.size // CLUSTERS))
+    size = 1 if row.size <= ALONE else max(8, -(-row.size // CLUSTERS))
     first_of_material = np.flatnonzero(np.diff(material, prepend=-1))
     place = np.arange(row.size) - np.repeat(first_of_material, np.diff(first_of_material, append=row.size))
     cuts = np.flatnonzero(place % size == 0)

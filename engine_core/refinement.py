@@ -16,7 +16,6 @@ from .integration.allocation import evenly_spread, learned_deviation, sample_cou
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates, drawn
-from .integration.inner_rules import Net
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
 from .integration.residual import ResidualSampler
@@ -24,9 +23,6 @@ from .integration.standard_error import Spread, sampled_twice, standard_error
 from .settings import Settings
 from .transport.direct_light import ALPHA, NORMAL, CameraHits, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import EveryLight
-
-FEWEST_SAMPLES = 1
-"""Samples a pixel below which nodes would cost more than they tell."""
 
 MOST_LIGHTS = 8
 """Lights that are summed at every evaluation; more are chosen among, which no polynomial follows."""
@@ -83,7 +79,7 @@ class ControlVariatePicture:
         choice = EveryLight() if len(integrand.lights) > 1 else None
         self.integrand = DirectLightOverTile(integrand, choice, check)
         # Light without size leaves nothing to integrate but the pixel.
-        self.covered, self._inner = (2, Net(1)) if integrand.only_points else (4, None)
+        self.covered = 4
         self._options = ControlVariates()
         self.regions = self.nodes = 0
 
@@ -101,7 +97,7 @@ class ControlVariatePicture:
             bins,
             self._pixels,
             self.covered,
-            self._inner,
+            None,
             settings.seed,
             map_,
             CHANNELS,
@@ -335,7 +331,16 @@ class ControlVariatePicture:
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
 
 
-def serves(integrand: DirectLight) -> bool:
-    """Whether polynomials follow the integrand: no choice among lights, nor triangles of one, no lens."""
-    in_focus = integrand.screen_dimensions == 2
-    return len(integrand.lights) <= MOST_LIGHTS and not integrand.chooses_triangle and in_focus
+def obstacles(integrand: DirectLight) -> str:
+    """Why no polynomial serves an integrand; empty if they do.
+
+    They follow no choice among lights, nor among triangles of one, and no lens; and light without size
+    leaves them nothing to integrate but the pixel.
+    """
+    found = {
+        f"more than {MOST_LIGHTS} lights": len(integrand.lights) > MOST_LIGHTS,
+        "mesh lights of many triangles": integrand.chooses_triangle,
+        "depth of field": integrand.screen_dimensions > 2,
+        "no light has a size": integrand.only_points,
+    }
+    return ", ".join(what for what, there in found.items() if there)

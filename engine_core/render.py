@@ -22,7 +22,7 @@ from .integration.point_sets import staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
-from .refinement import FEWEST_SAMPLES, MOST_LIGHTS, ControlVariatePicture, serves
+from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .settings import Settings
 from .transport.direct_light import NON_FINITE, DirectLight, DirectLightOverTile, Pixels
@@ -196,14 +196,12 @@ class _Render:
         alone = settings.integrator == "cv_only"
         if settings.integrator != "control_variates" and not alone:
             return None
-        served = serves(self._integrand)
-        if alone and not served:
-            self._film.messages.append(
-                f"CV Only can't serve this scene ({_obstacles(self._integrand)}): it is sampled as by Sobol"
-            )
-        few = settings.samples < FEWEST_SAMPLES and not alone
-        if not served or few:
-            why = f"less than {FEWEST_SAMPLES} samples" if served else _obstacles(self._integrand)
+        why = obstacles(self._integrand)
+        if why:
+            if alone:
+                self._film.messages.append(
+                    f"CV Only can't serve this scene ({why}): it is sampled as by Sobol"
+                )
             self._integrals["control variate"] = f"skipped: {why}"
             return None
         begin = time.perf_counter()
@@ -502,16 +500,6 @@ def _quietly(function: Callable, *arguments: Any) -> Any:
     """What over- or underflows is dealt with where it matters; NumPy's state is each thread's own."""
     with np.errstate(all="ignore"):
         return function(*arguments)
-
-
-def _obstacles(integrand: DirectLight) -> str:
-    """Why no polynomial `serves` an integrand."""
-    found = {
-        f"more than {MOST_LIGHTS} lights": len(integrand.lights) > MOST_LIGHTS,
-        "mesh lights of many triangles": integrand.chooses_triangle,
-        "depth of field": integrand.screen_dimensions > 2,
-    }
-    return ", ".join(what for what, there in found.items() if there)
 
 
 def _light_samples(lights: int) -> int:

@@ -16,7 +16,6 @@ from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight,
 from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.transport.emitters import Emitters, MeshEmitters, emitter_groups
-from engine_core.transport.light_choice import WEIGHED, CandidateLights, Lights, WeighedLights
 
 SAMPLES = 200_000
 ROWS, COLUMNS, FINE = 20, 40, 24

@@ -12,6 +12,7 @@ from engine_core import AreaLight, Material, Mesh, PointLight, SpotLight, SunLig
 from engine_core.errors import SceneError
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.transport.emitters import Emitters, emitter_groups
+from engine_core.transport.emitters.bounds import Bounds
 
 SIZED = [case for case in CASES if not case.meshes]
 
@@ -376,3 +377,37 @@ def test_a_world_that_is_wrong_is_told():
     ):
         with pytest.raises(SceneError, match=words):
             World(**fields)
+
+
+@pytest.mark.parametrize("kind", ["clouds", "flat and far", "in a row"])
+def test_rays_leave_each_box_once_and_come_to_an_end(kind):
+    """Also those that graze faces, which Embree finds again and again a hair's breadth further on."""
+    random = np.random.default_rng(1)
+    boxes, rays = (3, 40), (3, 2000)
+    if kind == "clouds":
+        centre, half = random.normal(size=boxes) * 3, random.uniform(0.01, 1, boxes)
+        position, direction = random.normal(size=(2, *rays))
+    elif kind == "flat and far":
+        stretch = np.array([[3e3], [3e3], [0.0]])
+        centre = random.normal(size=boxes) * stretch + [[0], [0], [1e3]]
+        half = random.uniform(1, 1000, boxes) * (stretch > 0)
+        position = random.normal(size=rays) * (stretch + [[0], [0], [1]]) + [[0], [0], [1e3]]
+        direction = random.normal(size=rays) * [[1], [1], [1e-3]]
+    else:
+        centre = np.arange(40) * [[2.5], [0], [0]]
+        half = np.ones(boxes)
+        position = random.uniform(-1, 1, rays) * [[0], [1e-3], [1]] + [[-5], [1], [0]]
+        direction = random.normal(size=rays) * [[0], [1e-5], [1e-5]] + [[1], [0], [0]]
+    low, high = centre - half, centre + half
+    position, direction = position.astype(np.float32), direction.astype(np.float32)
+    direction /= np.linalg.norm(direction, axis=0)
+    left = np.zeros((40, 2000), int)
+    for steps, (lane, box) in enumerate(Bounds(low, high).crossed(position, direction)):
+        np.add.at(left, (box, lane), 1)
+        assert steps < 500
+    with np.errstate(divide="ignore"):
+        ends = [(side[:, :, None] - position[:, None]) / direction[:, None] for side in (low, high)]
+    crossed = (np.minimum(*ends).max(axis=0) < np.maximum(*ends).min(axis=0)) & (
+        np.maximum(*ends).min(axis=0) > 0
+    )
+    assert left.max() == 1 and (left[crossed] == 1).all()

@@ -247,7 +247,7 @@ def test_a_grey_albedo_may_be_one_number():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("field", ["roughness", "coat_roughness", "ior", "normal", "alpha", "metallic"])
+@pytest.mark.parametrize("field", ["roughness", "coat_roughness", "ior", "alpha", "metallic"])
 def test_textures_count_as_0_where_they_are_not_finite(field, value):
     inputs = {"roughness": 0.5, "coat_weight": 0.5, "coat_roughness": 0.2}
     sun = SunLight(1.0, direction=(0, 0.3, -1), angle=0.3)

@@ -19,7 +19,9 @@ SEEDS = 48
 CV = {"integrator": "control_variates"}
 SCENES = {
     "one light": studio(48, 32, [area_light()]),
-    "points": studio(48, 32, [PointLight(60, position=(1, -2, 3)), PointLight(40, position=(-2, -1, 2))]),
+    "spheres": studio(
+        48, 32, [PointLight(60, position=(1, -2, 3), radius=0.1), PointLight(40, position=(-2, -1, 2))]
+    ),
     "mixed lights": studio(48, 32, mixed_lights(6), world=World(0.1)),
     "no light": studio(48, 32, world=World(0.0)),
 }
@@ -111,7 +113,7 @@ def test_depth_normals_and_alpha_are_there(integrator):
 
 
 @pytest.mark.parametrize(("integrator", "most"), [("cv_only", 0.1), ("quadrature", 0.1)])
-@pytest.mark.parametrize("name", ["one light", "points"])
+@pytest.mark.parametrize("name", ["one light", "spheres"])
 def test_what_is_biased_is_nearly_right(name, integrator, most):
     scene = SCENES[name]
     converged = pictures(scene, 1, samples=1024, integrator="sobol")[0]

@@ -21,7 +21,6 @@ from extension_scenes import (
     export,
     new_scene,
     set_world,
-    surface,
     tree,
 )
 

@@ -383,6 +383,7 @@ class DirectLightOverTile:
         with self._counting:
             self.counts[CAMERA] += u[0].size
             self.counts[CROSSING] += hits.crossings
+        _bound(hits.values[RGB])
         return hits
 
     def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -390,11 +391,15 @@ class DirectLightOverTile:
         reflected = self._integrand.rest(hits, lane, _inset(u), self._choice)
         with self._counting:
             self.counts.update(reflected.counts)
-        radiance = reflected.radiance
-        if not -LARGEST <= radiance.min(initial=0) <= radiance.max(initial=0) <= LARGEST:
-            np.nan_to_num(radiance, copy=False)
-            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
-        return reflected.which, radiance
+        _bound(reflected.radiance)
+        return reflected.which, reflected.radiance
+
+
+def _bound(radiance: np.ndarray) -> None:
+    """Cuts radiance (3, N) whose squares and sums would overflow in what makes a picture of it."""
+    if not -LARGEST <= radiance.min(initial=0) <= radiance.max(initial=0) <= LARGEST:
+        np.nan_to_num(radiance, copy=False)
+        np.clip(radiance, -LARGEST, LARGEST, out=radiance)
 
 
 def _inset(u: np.ndarray) -> np.ndarray:

@@ -13,6 +13,9 @@ from ...geometry.raytracer import RayTracer
 _FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 _TRIANGLES = np.array([t for a, b, c, d in _FACES for t in ((a, b, c), (a, c, d))])
 
+_STEP = np.float32(4e-7)
+"""How far past a face a ray goes on, relative to the numbers that it is computed from."""
+
 
 class Bounds:
     """Boxes a little larger than L lights, each by another bit so that no two faces coincide."""
@@ -41,15 +44,20 @@ class Bounds:
         """
         lane = np.arange(position.shape[1])
         origins, directions = (np.ascontiguousarray(x.T) for x in (position, directions))
+        last, step = np.full(len(lane), -1), np.full(len(lane), _STEP)
         while lane.size:
             hits = self._tracer.closest_hit(origins, directions)
             met = np.flatnonzero(hits.triangle >= 0)
-            lane, directions = lane.take(met), directions.take(met, axis=0)
+            lane, last, step = lane.take(met), last.take(met), step.take(met)
+            origins, directions = origins.take(met, axis=0), directions.take(met, axis=0)
             normal, distance = hits.normal.take(met, axis=0), hits.distance.take(met)
-            leaves = np.flatnonzero((normal * directions).sum(axis=1) > 0)
+            box = hits.triangle.take(met) // len(_TRIANGLES)
+            leaves = np.flatnonzero(((normal * directions).sum(axis=1) > 0) & (box != last))
             if leaves.size:
-                yield lane.take(leaves), hits.triangle.take(met.take(leaves)) // len(_TRIANGLES)
-            origins = origins.take(met, axis=0)
-            # Past the face by a few units in the last place of what it was computed from.
-            beyond = distance + np.float32(4e-7) * (distance + np.abs(origins).max(axis=1))
-            origins = origins + directions * beyond[:, None]
+                yield lane.take(leaves), box.take(leaves)
+                last[leaves] = box.take(leaves)
+            # Past the face by a few units in the last place of what it was computed from. A ray that grazes
+            # it may meet it again and again: ever further then.
+            scale = np.maximum(distance + np.abs(origins).max(axis=1), np.float32(1e-30))
+            step = np.where(distance < 4 * step * scale, 2 * step, _STEP)
+            origins = origins + directions * (distance + step * scale)[:, None]

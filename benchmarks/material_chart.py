@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A chart of materials by CV Render beside Cycles, with a map of their differences, as a picture and a table."""
+"""A chart of materials by CV Render beside Cycles, with a map of their differences: a picture and a table."""
 
 from __future__ import annotations
 

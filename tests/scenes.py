@@ -485,7 +485,10 @@ class _Wild(Value):
 
     def evaluate(self, points: Any) -> np.ndarray:
         with np.errstate(all="ignore"):
-            even = np.floor(points.position.sum(axis=0) / np.abs(points.position).max(initial=1e-30) * 7) % 2 == 0
+            even = (
+                np.floor(points.position.sum(axis=0) / np.abs(points.position).max(initial=1e-30) * 7) % 2
+                == 0
+            )
         return np.where(even, self.even, self.odd).astype(np.float32)
 
 

@@ -124,7 +124,9 @@ def coloured_and_textured_shadows(scene: Any) -> None:
 def camera_and_shadow_rays_see_another_material(scene: Any) -> None:
     def make(n: Nodes) -> Any:
         path = n("LightPath")
-        first = n("MixShader", {0: path.outputs["Is Camera Ray"], 2: n.diffuse((0.9, 0.2, 0.2, 1)).outputs[0]})
+        first = n(
+            "MixShader", {0: path.outputs["Is Camera Ray"], 2: n.diffuse((0.9, 0.2, 0.2, 1)).outputs[0]}
+        )
         clear = n("BsdfTransparent", {0: (0.2, 0.9, 0.5, 1)})
         return n("MixShader", {0: path.outputs["Is Shadow Ray"], 1: first.outputs[0], 2: clear.outputs[0]})
 

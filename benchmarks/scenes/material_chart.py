@@ -98,7 +98,9 @@ def image(n: Nodes, alpha: bool = False, space: str = "sRGB", **inputs: Any) -> 
 
 
 def _ramp(n: Nodes) -> Any:
-    node = n("ValToRGB", {0: n("TexGradient", {0: n.coordinate("Object")}, gradient_type="EASING").outputs[1]})
+    node = n(
+        "ValToRGB", {0: n("TexGradient", {0: n.coordinate("Object")}, gradient_type="EASING").outputs[1]}
+    )
     node.color_ramp.elements[0].color, node.color_ramp.elements[1].color = ROSE, SEA
     node.color_ramp.elements.new(0.4).color = SAND
     return node.outputs[0]
@@ -191,7 +193,7 @@ CHART = (
     ),
     Sample("bumpy diffuse", lambda n: n.diffuse(SAND, Normal=tilted(n))),
     Sample("bumpy gloss", lambda n: n("BsdfAnisotropic", {"Roughness": 0.4, "Normal": tilted(n)})),
-    Sample("roughness by checker", lambda n: n("BsdfPrincipled", {"Base Color": SAND, "Roughness": _grey(n)})),
+    Sample("checked roughness", lambda n: n("BsdfPrincipled", {"Base Color": SAND, "Roughness": _grey(n)})),
     Sample(
         "leaf", lambda n: _mixed(n, 0.5, n.diffuse(SAND), n("BsdfTranslucent", {"Normal": tilted(n)})),
         sheet=True,
@@ -199,10 +201,16 @@ CHART = (
     Sample("image", _coloured(lambda n: image(n).outputs[0]), texture=True),
     Sample("mapped image", _coloured(_mapped), texture=True),
     Sample(
-        "checker", _coloured(lambda n: n("TexChecker", {"Color1": ROSE, "Color2": SEA}).outputs[0]), texture=True
+        "checker",
+        _coloured(lambda n: n("TexChecker", {"Color1": ROSE, "Color2": SEA}).outputs[0]),
+        texture=True,
     ),
     Sample("ramp", _coloured(_ramp), texture=True),
-    Sample("colour attribute", _coloured(lambda n: n("VertexColor", layer_name="Paint").outputs[0]), texture=True),
+    Sample(
+        "colour attribute",
+        _coloured(lambda n: n("VertexColor", layer_name="Paint").outputs[0]),
+        texture=True,
+    ),
     Sample(
         "colour by layer weight",
         _coloured(lambda n: n("LayerWeight", {0: 0.4}).outputs["Facing"]),
@@ -224,7 +232,7 @@ assert len(CHART) == COLUMNS * ROWS
 
 
 def tiles(picture: np.ndarray) -> np.ndarray:
-    """(rows of the chart * columns, T, T, C) of a picture (H, W, C), row 0 at the bottom, in CHART's order."""
+    """(materials, T, T, C) of a picture (H, W, C), row 0 at the bottom, in CHART's order."""
     height, width, channels = picture.shape
     edge = height // ROWS
     parts = picture[::-1].reshape(ROWS, edge, COLUMNS, width // COLUMNS, channels).transpose(0, 2, 1, 3, 4)
@@ -258,7 +266,9 @@ def build(edge: int) -> None:
         mesh = _sheet(sample.name) if sample.sheet else _ball(sample.name)
         mesh.materials.append(_material(sample))
         where = (x - (COLUMNS - 1) / 2, (ROWS - 1) / 2 - y, 0)
-        studio.place(sample.name, mesh, where, rotation_euler=(0, 1.0, 0) if sample.sheet else (0.9, 0.3, 0.2))
+        studio.place(
+            sample.name, mesh, where, rotation_euler=(0, 1.0, 0) if sample.sheet else (0.9, 0.3, 0.2)
+        )
     studio.light("AREA", (3, -4, 5), 400.0, (1.0, 0.9, 0.8), (0, 0, 0), shape="SQUARE", size=5.0)
     studio.light("SUN", (-4, 0, 3), 1.0, (0.8, 0.9, 1.0), (0, 0, 0), angle=0.6)
     camera = studio.camera((0, 0, 20), (0, 0, 0), lens=50)

@@ -274,30 +274,43 @@ class SceneLights(Lights):
     def _mesh_along(self, group, position: np.ndarray, normal: np.ndarray, direction: np.ndarray):
         """The first emissive triangle that each ray meets, and what is behind those that cast no shadow."""
         ray = np.arange(position.shape[1])
-        travelled = np.zeros(len(ray), np.float32)
+        travelled, step = np.zeros((2, len(ray)), np.float32)
+        last = np.full(len(ray), -1)
         casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
-        origins = np.ascontiguousarray(position.T)
-        directions = np.ascontiguousarray(direction.T)
         while ray.size:
-            hits = self._tracer.closest_hit(origins, directions, FAR)
-            met = np.flatnonzero(hits.triangle >= 0)
-            if met.size == 0:
-                return
-            ray, directions = ray.take(met), directions.take(met, axis=0)
-            triangle = group.row.take(hits.triangle.take(met))
-            distance = travelled.take(met) + hits.distance.take(met)
-            light = group.light_of.take(triangle)
-            to_light = take(direction, ray) * distance
-            density = group.pdf_of_triangle(triangle, take(position, ray), take(normal, ray), to_light)
-            radiance = take(group.radiance, light)
-            varies = np.flatnonzero(self._varies.take(triangle))
-            if varies.size:
-                rows = met.take(varies)
-                radiance[:, varies] = self._emission(
-                    triangle.take(varies), hits.u.take(rows), hits.v.take(rows), take(to_light, varies)
-                )
-            yield ray, light, distance, radiance, density
-            on = np.flatnonzero(~casts.take(triangle))
-            travelled = distance.take(on) + self._triangles.offset.take(triangle.take(on))
-            ray, directions = ray.take(on), directions.take(on, axis=0)
             origins = np.ascontiguousarray((take(position, ray) + take(direction, ray) * travelled).T)
+            hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)
+            met = np.flatnonzero(hits.triangle >= 0)
+            ray, travelled, step, last = (x.take(met) for x in (ray, travelled, step, last))
+            triangle = group.row.take(hits.triangle.take(met))
+            further = hits.distance.take(met)
+            travelled += further
+            new = np.flatnonzero(triangle != last)
+            if new.size:
+                yield self._met(
+                    group, position, normal, direction, ray.take(new), triangle.take(new),
+                    travelled.take(new), hits.u.take(met.take(new)), hits.v.take(met.take(new)),
+                )  # fmt: skip
+            # A ray may meet a triangle that it grazes again and again: ever further then.
+            offset = np.maximum(self._triangles.offset.take(triangle), np.float32(1e-30))
+            step = np.where(further < 4 * step, 2 * step, offset)
+            on = np.flatnonzero(~casts.take(triangle))
+            ray, travelled, step, last = (
+                ray.take(on),
+                (travelled + step).take(on),
+                step.take(on),
+                triangle.take(on),
+            )
+
+    def _met(self, group, position, normal, direction, ray, triangle, distance, u, v):
+        """What `along` says of triangles (K,) that rays (K,) meet."""
+        light = group.light_of.take(triangle)
+        to_light = take(direction, ray) * distance
+        density = group.pdf_of_triangle(triangle, take(position, ray), take(normal, ray), to_light)
+        radiance = take(group.radiance, light)
+        varies = np.flatnonzero(self._varies.take(triangle))
+        if varies.size:
+            radiance[:, varies] = self._emission(
+                triangle.take(varies), u.take(varies), v.take(varies), take(to_light, varies)
+            )
+        return ray, light, distance, radiance, density

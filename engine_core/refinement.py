@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from .directly_seen import DirectlySeen
 from .image.film import FAR, LARGEST, Film
 from .integration.allocation import evenly_spread, learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
@@ -77,8 +78,7 @@ class ControlVariatePicture:
         self._check = check
         self._bins = (region[2] - region[0], region[3] - region[1])
         choice = EveryLight() if len(integrand.lights) > 1 else None
-        self.integrand = DirectLightOverTile(integrand, choice, check)
-        # Light without size leaves nothing to integrate but the pixel.
+        self.integrand = DirectLightOverTile(integrand, choice, check, seen=not integrand.sees)
         self.covered = 4
         self._options = ControlVariates()
         self.regions = self.nodes = 0
@@ -107,6 +107,7 @@ class ControlVariatePicture:
         if log_edge is None:
             return False
         tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False)
+        self._see(map_)
         try:
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
         except BaseException:
@@ -129,6 +130,16 @@ class ControlVariatePicture:
             self._allocate(map_)
         return True
 
+    def _see(self, map_: Map) -> None:
+        """What camera rays see by themselves is integrated apart from what is reflected."""
+        self._first, self._first_error = np.zeros((2, CHANNELS, *self._bins))
+        if self._direct_light.sees:
+            eye = DirectLightOverTile(self._direct_light, None, self._check)
+            eye.counts = self.integrand.counts
+            settings = self._settings
+            seen = DirectlySeen(eye, self._bins, self._pixels, settings.seed + 1, settings.batch_size, map_)
+            self._first, self._first_error = seen.mean, seen.error
+
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
         self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
@@ -136,8 +147,9 @@ class ControlVariatePicture:
         self._error = np.zeros(self._bins)
         self._plain = np.zeros(self._bins, bool)
         map_(self._integrate, range(len(self._variate)))
-        self._write(slice(None), slice(None), self._mean)
-        self._film.control_variate[:] = np.clip(self._mean, -LARGEST, LARGEST).transpose(2, 1, 0)
+        shown = self._first + self._mean
+        self._write(slice(None), slice(None), shown)
+        self._film.control_variate[:] = np.clip(shown, -LARGEST, LARGEST).transpose(2, 1, 0)
         self._film.combined[..., ALPHA] = 1
 
     def _pixels(self, index: np.ndarray) -> Pixels:
@@ -231,7 +243,7 @@ class ControlVariatePicture:
         self._sample(number, *(self._count(part, p).ravel() for p in (pass_ - 1, pass_)), done)
         if pass_ == 0:
             self._measure_depth(number)
-        film, h = self._film, self._mean[:, x, y]
+        film, h = self._film, self._first[:, x, y] + self._mean[:, x, y]
         residual = self._residual.reshape(self._mean.shape)[:, x, y]
         self._write(x, y, h + residual)
         film.control_variate[y, x] = np.clip(h, -LARGEST, LARGEST).T
@@ -327,7 +339,7 @@ class ControlVariatePicture:
         error = standard_error(
             self._spread, count.ravel(), self._bins, self._deviation.ravel(), self._chance.ravel()
         )
-        error = error.reshape(-1, *self._bins)
+        error = np.hypot(error.reshape(-1, *self._bins), self._first_error)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
 
 

@@ -86,6 +86,7 @@ class CameraStage:
 
     dimensions : 2 of a pixel, and 2 of a lens.
     channels : of the values. transparent : whether alpha can be less than 1.
+    sees : whether a camera ray may find radiance without a light sample.
     """
 
     def __init__(
@@ -123,6 +124,7 @@ class CameraStage:
         self._emission = np.maximum([m.emission for m in materials], 0).astype(np.float32).T.copy()
         used = np.unique(surfaces.triangles.material)
         self._emits = bool(self._emission[:, used].any())
+        self.sees = self._emits or bool(shader.emits.any() or self._background.any()) or self._lights_seen
 
     def hit(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""

@@ -94,7 +94,7 @@ class DirectLight:
     messages : what of the scene is left out, one sentence each.
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
-    only_points : no light has a size. channels, transparent : as in `CameraStage`.
+    only_points : no light has a size. channels, transparent, sees : as in `CameraStage`.
     seconds : that building it took, by stage.
     """
 
@@ -132,6 +132,7 @@ class DirectLight:
             scene, frame, self._surfaces, shader, groups, transparent, normals, crossings
         )
         self.channels, self.transparent = self._stage.channels, self._stage.transparent
+        self.sees = self._stage.sees
         self._shadows = Shadows(self._surfaces, shader, crossings)
         self._weighed = WeighedLights(self.lights)
         self._sampling = sampling
@@ -359,6 +360,7 @@ class DirectLightOverTile:
     """The integrand with one tile's light choice, and what its evaluation cost.
 
     check : called before every batch; may raise, to give up.
+    seen : whether radiance is that of what is seen by itself, too, or only what is reflected.
     counts : so far, rays by kind and what was not finite.
     """
 
@@ -369,9 +371,11 @@ class DirectLightOverTile:
         integrand: DirectLight,
         choice: LightChoice | EveryLight | None,
         check: Callable[[], None] = lambda: None,
+        seen: bool = True,
     ) -> None:
         self._integrand = integrand
         self._choice = choice
+        self._seen = seen
         self._check = check
         self.rest_dimensions = 2 if isinstance(choice, EveryLight) else integrand.rest_dimensions
         self._counting = Lock()
@@ -383,7 +387,10 @@ class DirectLightOverTile:
         with self._counting:
             self.counts[CAMERA] += u[0].size
             self.counts[CROSSING] += hits.crossings
-        _bound(hits.values[RGB])
+        if self._seen:
+            _bound(hits.values[RGB])
+        else:
+            hits.values[RGB] = 0
         return hits
 
     def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,9 +21,10 @@ class Settings:
     light_samples : shadow rays for each camera ray, 0 to choose by the lights; control variates take one
         for each light.
     integrator : "control_variates" (polynomials, and Sobol points where these are wrong; with more than 8
-        lights, mesh lights of many triangles, depth of field or only points as "sobol"), "sobol" (Owen-scrambled Sobol points),
-        "monte_carlo" (pseudo-random points), "quadrature" (nested adaptive quadrature over the lights: no
-        noise, but an error of its own), "cv_only" (the polynomials alone: no noise, and biased).
+        lights, mesh lights of many triangles, depth of field or only points as "sobol"), "sobol"
+        (Owen-scrambled Sobol points), "monte_carlo" (pseudo-random points), "quadrature" (nested adaptive
+        quadrature over the lights: no noise, but an error of its own), "cv_only" (the polynomials alone: no
+        noise, and biased).
     seed : another seed is another, independent estimate of the same picture.
     noise_threshold : stop a block of pixels when its estimated standard error, relative to the
         square root of its brightness (as in Cycles), falls below this; 0 never stops early.

@@ -168,9 +168,9 @@ class ControlVariatePicture:
         settings, bins = self._settings, self._bins
         twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed).reshape(bins)
         pilot = twice | evenly_spread(bins, PILOT_ONE_IN, settings.seed)
-        if self._direct_light.transparent or settings.normals:
-            # Alpha and normals are known from samples alone.
-            pilot[:] = True
+        # Alpha and normals are known from samples alone.
+        self._every = self._direct_light.transparent or settings.normals
+        pilot |= self._every
         approximate = self._mean.copy()
         # H stays on show until their samples are there.
         self._mean[:, self._plain] = 0
@@ -268,47 +268,50 @@ class ControlVariatePicture:
     ) -> None:
         """Sample the B pixels of a tile, which have ``have`` (B,) samples, up to ``count`` (B,)."""
         tile = self._variate.tile(number)
-        where = tuple(tile.index)
-        twice = self._twice[where]
+        x, y = part = self._part(number)
+        twice, film = self._twice[part].ravel(), self._film
         pixels, new = self._pixels(tile.index), count - have
-        depth = np.full(len(new), FAR)
+        depth = film.depth[y, x].T.ravel()
         seen = np.zeros((self._direct_light.channels - ALPHA, len(new)))
 
-        def after_batch(part: np.ndarray, hits: CameraHits, n: int) -> None:
-            depth[part] = np.minimum(hits.depth.reshape(len(part), n)[:, 0], FAR)
-            seen[:, part] += hits.values[ALPHA:].reshape(len(seen), len(part), n).sum(axis=2)
-            done(len(part) * n)
+        def after_batch(some: np.ndarray, hits: CameraHits, n: int) -> None:
+            if have[some[0]] == 0:
+                depth[some] = np.minimum(hits.depth[::n], FAR)
+            if self._every:
+                seen[:, some] += hits.values[ALPHA:].reshape(len(seen), len(some), n).sum(axis=2)
+            done(len(some) * n)
 
-        film, at = self._film, where[0] * self._bins[1] + where[1]
+        # The picture's arrays, and this tile's part of them.
+        ours = (self._residual, self._spread.half, self._spread.twice)
+        ours = [a.reshape(-1, *self._bins)[:, x, y] for a in ours]
+        residual, half, apart = (a.reshape(CHANNELS, -1) for a in ours)
         mean, spread = self._sampler.sample(
             self.integrand,
             pixels,
             pixels.key(),
             tile,
             tile.density(self._variate.spread),
-            self._error[where],
+            self._error[part].ravel(),
             count,
-            self._chance[where],
+            self._chance[part].ravel(),
             twice,
             after_batch,
-            self._plain[where],
+            self._plain[part].ravel(),
             have,
-            (self._residual[:, at], self._spread.of(at)),
+            (residual, Spread(half, apart)),
         )
-        self._residual[:, at] = mean
-        self._spread.store(at, spread)
-        x, y = where
-        first = np.flatnonzero((new > 0) & (have == 0))
-        film.depth[y[first], x[first]] = depth[first]
-        # Alpha and normals are means over samples: those before, and the new ones.
-        more = np.flatnonzero(new > 0)
-        seen = seen[:, more] / (new * (1 + twice))[more]
-        share = (new / np.maximum(count, 1))[more]
-        x, y = x[more], y[more]
-        film.combined[y, x, ALPHA] += (seen[0] - film.combined[y, x, ALPHA]) * share
-        if self._settings.normals:
-            normal = film.normal[y, x].T
-            film.normal[y, x] = (normal + (seen[NORMAL.start - ALPHA :] - normal) * share).T
+        for old, now in zip(ours, (mean, spread.half, spread.twice), strict=True):
+            old[:] = now.reshape(old.shape)
+        film.depth[y, x] = depth.reshape(tile.shape).T
+        if self._every:
+            # Alpha and normals are means over samples: those before, and the new ones.
+            seen /= np.maximum(new * (1 + twice), 1)
+            share = new / np.maximum(count, 1)
+            alpha, normal = film.combined[y, x, ALPHA].T, film.normal[y, x].T
+            seen, share = (a.reshape(-1, *tile.shape) for a in (seen, share))
+            alpha += (seen[0] - alpha) * share[0]
+            if self._settings.normals:
+                normal += (seen[NORMAL.start - ALPHA :] - normal) * share
 
     def _look(self, tile: TileOfRegions, pixels: Pixels, done: Callable[[int], None]) -> None:
         """Camera rays alone: the polynomials know neither depth, nor normals, nor alpha."""

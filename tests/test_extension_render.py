@@ -81,7 +81,8 @@ def test_passes_of_the_integrator_add_up(scene: Any, tmp_path: Path) -> None:
         parts = found[f"ViewLayer.CV.{c}"] + found[f"ViewLayer.Residual.{c}"]
         assert np.allclose(found[f"ViewLayer.Combined.{c}"], np.maximum(parts, 0), atol=1e-5)
         assert (found[f"ViewLayer.Standard Error.{c}"] >= 0).all() and found[f"ViewLayer.CV.{c}"].any()
-    assert found["ViewLayer.Sample Count.X"].min() >= 1
+    # Where nothing is left to sample, the polynomials stand alone.
+    assert found["ViewLayer.Sample Count.X"].min() >= 0 and found["ViewLayer.Sample Count.X"].max() >= 1
 
 
 def test_passes_have_the_names_and_values_of_cycles(scene: Any, tmp_path: Path) -> None:

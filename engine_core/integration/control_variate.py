@@ -17,6 +17,9 @@ from .rules import bin_means, face_weights, lagrange
 _LOG_BINS = 14
 """log2 of a tile's bins, about: enough for full batches of samples, few enough for the cache."""
 
+ROWS = 4096
+"""Samples whose regions' node values are gathered at once: what fits the cache."""
+
 
 @dataclass(eq=False)
 class Pairs:
@@ -87,39 +90,37 @@ class TileOfRegions:
 
         spread : of the node store, where nodes integrate more dimensions inside.
         """
-        total = self.index.shape[1]
-        h, error = np.zeros((len(self._values), total)), np.zeros(total)
-        weights = face_weights(self._dimensions - self._bins)
-        density = self.density(spread)
-        left, deviation = np.zeros(total), np.zeros(total)
-        moments = self._moments().reshape(-1, len(self.regions))
-        in_bins = np.zeros((len(moments), total))
-        for chosen, logs, slots in self._groups():
-            flat, times = slots.ravel(), slots.shape[1]
-            share = self.overlap[chosen]
-            error += np.bincount(flat, np.repeat(share * density[chosen], times), total)
-            left += np.bincount(flat, np.repeat(share * self.regions.density[chosen] ** 2, times), total)
-            for out, of in zip(
-                in_bins.reshape(-1, total), moments.reshape(-1, len(self.regions)), strict=True
-            ):
-                out += np.bincount(flat, np.repeat(share * of[chosen], times), total)
-            for out, values in zip(h, self._values, strict=True):
-                v = values.take(self.regions.nodes[chosen]).reshape(len(chosen), -1, self._face) @ weights
-                v = (v * share[:, None]).reshape(len(chosen), *(3,) * self._bins)
-                for log in logs:
-                    v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
-                out += np.bincount(flat, v.ravel(), total)
-        for mean, square in in_bins.reshape(-1, 2, total):
-            variance = square - mean * mean
-            deviation += np.sqrt(np.where(variance > 1e-12 * square, variance, 0))
-        known = deviation > 0
-        return h, error, np.divide(left, deviation**2, out=np.zeros(total), where=known)
-
-    def _moments(self) -> np.ndarray:
-        """(C, 2, R) means of the nodes' values, and of their squares."""
+        total, channels = self.index.shape[1], len(self._values)
+        over_bins, over_rest = 3**self._bins, face_weights(self._dimensions - self._bins)
+        # Of each region, as parts of its bins: error, its square, f and its square; and h without the rest.
+        constant = np.empty((2 + 2 * channels, len(self.regions)))
+        constant[0], constant[1] = self.density(spread), np.square(self.regions.density)
+        nodes = np.empty((channels, over_bins, len(self.regions)))
         weights = face_weights(self._dimensions)
-        rows = (v.take(self.regions.nodes).astype(np.float64, copy=False) for v in self._values)
-        return np.stack([(v @ weights, np.square(v) @ weights) for v in rows])
+        for c, values in enumerate(self._values):
+            v = values.take(self.regions.nodes).astype(np.float64, copy=False)
+            constant[2 + c], constant[2 + channels + c] = v @ weights, np.square(v) @ weights
+            nodes[c] = (v.reshape(len(v), over_bins, -1) @ over_rest).T
+        constant *= self.overlap
+        nodes *= self.overlap
+        h, sums = np.zeros((channels, total)), np.zeros((len(constant), total))
+        for chosen, logs, slots in self._groups():
+            # Regions of one size lie beside each other or, different in the rest alone, over the same bins.
+            order = np.argsort(slots[:, 0], kind="stable")
+            begin = np.flatnonzero(np.diff(slots[order, 0], prepend=-1))
+            chosen, flat = chosen[order], slots[order[begin]].ravel()
+            once = np.add.reduceat(constant.take(chosen, axis=1), begin, axis=1)
+            sums[:, flat] += np.repeat(once, slots.shape[1], axis=1)
+            v = np.add.reduceat(nodes.take(chosen, axis=2), begin, axis=2)
+            v = v.reshape(channels, *(3,) * self._bins, len(begin))
+            for log in logs:
+                v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
+            h[:, flat] += v.reshape(channels, -1)
+        error, left = sums[:2]
+        mean, square = sums[2:].reshape(2, channels, total)
+        variance = square - mean * mean
+        deviation = np.sqrt(np.where(variance > 1e-12 * square, variance, 0)).sum(axis=0)
+        return h, error, np.divide(left, deviation**2, out=np.zeros(total), where=deviation > 0)
 
     def density(self, spread: np.ndarray | None) -> np.ndarray:
         """(R,) the predicted deviation of a sample of f - h."""
@@ -175,18 +176,23 @@ class TileOfRegions:
                 t = t + (self._local[d].take(bin_) - self.start_bin[d].take(region))
                 t *= self._per_bin[d].take(region)
             basis.append(lagrange(t))
-        coefficients_of = self._coefficients()
-        outer, inner = (_tensor(b, n, coefficients_of.dtype) for b in (basis[:half], basis[half:]))
-        out = np.empty((len(self._values), n), coefficients_of.dtype)
-        for row, coefficients in zip(out, coefficients_of, strict=True):
-            v = coefficients.take(region, axis=0).reshape(n, outer.shape[1], -1)
-            np.einsum("nk,nk->n", np.matmul(outer[:, None, :], v)[:, 0], inner, out=row)
+        coefficients = self._coefficients()
+        outer, inner = (_tensor(b, n, coefficients.dtype) for b in (basis[:half], basis[half:]))
+        out = np.empty((len(self._values), n), coefficients.dtype)
+        for low in range(0, n, ROWS):
+            part = slice(low, low + ROWS)
+            v = coefficients.take(region[part], axis=0)
+            v = v.reshape(len(v), outer.shape[1], -1)
+            v = np.matmul(outer[part, None, :], v).reshape(len(v), len(out), -1)
+            out[:, part] = np.matmul(v, inner[part, :, None])[:, :, 0].T
         return out
 
     def _coefficients(self) -> np.ndarray:
-        """(C, R, 3^m) node values, gathered once."""
+        """(R, 3^m C) node values, gathered once; channels before the last half of the dimensions."""
         if self._rows is None:
-            self._rows = np.stack([v.take(self.regions.nodes) for v in self._values])
+            rows = np.stack([v.take(self.regions.nodes) for v in self._values], axis=1)
+            rows = rows.reshape(len(rows), len(self._values), 3 ** ((self._dimensions + 1) // 2), -1)
+            self._rows = np.ascontiguousarray(rows.transpose(0, 2, 1, 3)).reshape(len(rows), -1)
         return self._rows
 
 

@@ -179,6 +179,24 @@ def test_mirrors_show_no_light_without_size():
 
 
 @dataclass(frozen=True, eq=False)
+class Corner(Value):
+    """10^6 on a spot of 0.002 x 0.002, else 0."""
+
+    def evaluate(self, points):
+        x, y, _ = points.position
+        return np.where(
+            (np.abs(x - 1.999) < 0.001) & (np.abs(y - 1.999) < 0.001), np.float32(1e6), np.float32(0)
+        )
+
+
+def test_a_spot_that_no_look_at_a_texture_meets_is_a_light_still():
+    lamp = replace(floor(2.0, 3.0), materials=1)
+    materials = (Material(0.8), Material(surface=Emission(1.0, Corner())))
+    direct = DirectLight(Scene(patch_camera(), (floor(), lamp), materials))
+    assert len(direct.lights) == 2 and (direct.lights.groups[0].strength > 0).all()
+
+
+@dataclass(frozen=True, eq=False)
 class Stripes(Value):
     """1 and 0 in turn along X, a unit each."""
 

@@ -20,7 +20,7 @@ from typing import Self
 import numpy as np
 
 from ..geometry.vectors import dot
-from ..transport.warps import TWO_PI, basis
+from ..geometry.warps import TWO_PI, basis
 from . import fresnel
 from .lobe import Lobe, at
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.vectors import dot, inverse_length, take
-from ..transport.warps import basis
+from ..geometry.warps import basis
 
 
 def valid_reflection_normal(

@@ -8,20 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from .closures import Emission, Holdout, Principled, Translucent, Transparent
+from .closures import Emission, Holdout, Principled, Transparent
 from .values import Value
 
 
 @dataclass(frozen=True)
 class Abilities:
-    """emits : radiance of its own. transmits : light straight on. scatters_through : light to the far side.
-
-    holds_out : cuts a hole into alpha.
-    """
+    """emits : radiance of its own. transmits : light straight on. holds_out : cuts a hole into alpha."""
 
     emits: bool = False
     transmits: bool = False
-    scatters_through: bool = False
     holds_out: bool = False
 
     def __or__(self, other: Abilities) -> Abilities:
@@ -34,8 +30,6 @@ def abilities(closure: Any) -> Abilities:
         return Abilities(emits=_may(closure.strength) and _may(closure.color))
     if isinstance(closure, Transparent):
         return Abilities(transmits=_may(closure.color))
-    if isinstance(closure, Translucent):
-        return Abilities(scatters_through=_may(closure.color))
     if isinstance(closure, Holdout):
         return Abilities(holds_out=True)
     if isinstance(closure, Principled):

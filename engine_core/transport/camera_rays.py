@@ -7,8 +7,8 @@ import numpy as np
 
 from ..geometry.frame import Frame
 from ..geometry.raytracer import FAR
+from ..geometry.warps import concentric_disk, regular_polygon
 from ..scene import Camera
-from .warps import concentric_disk, regular_polygon
 
 
 class CameraRays:

@@ -26,6 +26,9 @@ from ..shading.terms import SurfaceTerms
 MEAN_POINTS = 1 << 14
 """Points of a material at which its emission is looked up to know its mean."""
 
+LEAST_EMISSION = 1e-6
+"""Mean radiance that a material is thought to have whose emission varies, and was 0 at all of these."""
+
 ROUGH = 0.3
 """alpha above which a lobe is served by sampling the lights alone."""
 
@@ -69,11 +72,9 @@ class SurfaceShader:
         self.lambertian = not any(m.surface is not None for m, u in zip(materials, used, strict=True) if u)
         self._closures = [_closure_of(material) for material in materials]
         able = [abilities(c) if u else Abilities() for c, u in zip(self._closures, used, strict=True)]
-        self.emits, self.transmits, self._through, self._holds_out = (
-            np.array([getattr(a, name) for a in able], bool)
-            for name in ("emits", "transmits", "scatters_through", "holds_out")
+        self.emits, self.transmits, self._holds_out = (
+            np.array([getattr(a, name) for a in able], bool) for name in ("emits", "transmits", "holds_out")
         )
-
         of_closure = np.array([m.surface is not None for m in materials], bool)
         self.varying_emission = self.emits & of_closure
 
@@ -127,7 +128,7 @@ class SurfaceShader:
     def _mean_emission(self, number: int) -> np.ndarray:
         """(3,) over the triangles of a material, by area, from points of a lattice on each."""
         row = np.flatnonzero(self._triangles.material == number)
-        per_triangle = int(np.clip(MEAN_POINTS // len(row), 1, 256))
+        per_triangle = max(1, MEAN_POINTS // len(row))
         row = row[:: max(1, len(row) // MEAN_POINTS)]
         corners = (self._triangles.vertices[self._triangles.indices[row, k]] for k in range(3))
         # Large triangles' areas overflow float32.
@@ -140,7 +141,8 @@ class SurfaceShader:
         u, v = (np.tile(x, len(row)).astype(np.float32) for x in uv)
         points = self.points_on(np.repeat(row, per_triangle).astype(np.int32), u, v)
         emission = self.emission(points, points.geometric)
-        return (emission @ area) / max(area.sum(), 1e-300)
+        # What no point has met may still be there: never nothing, or the light would be left out.
+        return np.maximum((emission @ area) / max(area.sum(), 1e-300), LEAST_EMISSION)
 
     def points_on(
         self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, towards_viewer: np.ndarray | None = None

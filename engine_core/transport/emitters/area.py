@@ -10,8 +10,8 @@ import numpy as np
 
 from ...geometry.frame import Frame
 from ...geometry.vectors import dot, length, take
+from ...geometry.warps import concentric_disk
 from ...scene import AreaLight
-from ..warps import concentric_disk
 from .base import FEW, Emitters, Sample, area_to_solid_angle, of
 from .bounds import Bounds
 from .spherical import SphericalEllipse, SphericalRectangle

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...geometry.vectors import dot
-from ..warps import linear
+from ...geometry.warps import linear
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 

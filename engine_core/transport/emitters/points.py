@@ -9,8 +9,8 @@ import numpy as np
 
 from ...geometry.frame import Frame
 from ...geometry.vectors import dot, take
+from ...geometry.warps import basis, cap, cosine_hemisphere, sin_sqr_to_one_minus_cos
 from ...scene import Light, PointLight, SpotLight
-from ..warps import basis, cap, cosine_hemisphere, sin_sqr_to_one_minus_cos
 from .base import FEW, Emitters, of
 from .bounds import Bounds
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...geometry.vectors import dot, length
-from ..warps import TWO_PI, Bilinear, basis, concentric_disk
+from ...geometry.warps import TWO_PI, Bilinear, basis, concentric_disk
 
 # What the corners of a rectangle weigh at least: few samples for those below the horizon.
 LEAST_COSINE = np.float32(0.01)

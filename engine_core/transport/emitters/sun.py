@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...geometry.vectors import dot, take
+from ...geometry.warps import basis, cap
 from ...scene import SunLight
-from ..warps import basis, cap
 from .base import Emitters, of
 
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...geometry.vectors import dot, length, take
+from ...geometry.warps import cosine_hemisphere
 from ...scene import World
-from ..warps import cosine_hemisphere
 from .base import Emitters, LightHits
 from .environment_map import LUMINANCE, EnvironmentMap
 

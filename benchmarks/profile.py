@@ -46,7 +46,7 @@ def watch_engine(watch: Stopwatch, engine: ModuleType) -> None:
     watch.time(module("integration.point_sets").SobolPoints, "points", "Sobol points")
     watch.time(module("transport.camera_rays").CameraRays, "rays", "camera rays")
     watch.time(surfaces, "first_hit", "surface points")
-    watch.time(surfaces, "visible", "shadow rays' ends")
+    watch.time(surfaces, "shadow_rays", "shadow rays' ends")
     watch.time(direct.DirectLight, "choice_of_cells", "choice of lights")
     for kind in classes(module("transport.light_choice")):
         if "choose" in vars(kind):

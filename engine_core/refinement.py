@@ -349,13 +349,14 @@ class ControlVariatePicture:
 def obstacles(integrand: DirectLight) -> str:
     """Why no polynomial serves an integrand; empty if they do.
 
-    They follow no choice among lights, nor among triangles of one, and no lens; and light without size
-    leaves them nothing to integrate but the pixel.
+    They follow no choice among lights, nor among triangles of one, no lens, and not the needles that a BSDF
+    finds lamps with when it is sampled alone; and light without size leaves them nothing but the pixel.
     """
     found = {
         f"more than {MOST_LIGHTS} lights": len(integrand.lights) > MOST_LIGHTS,
         "mesh lights of many triangles": integrand.chooses_triangle,
         "depth of field": integrand.screen_dimensions > 2,
         "no light has a size": integrand.only_points,
+        "BSDFs sampled alone": integrand.sampling == "bsdf" and not integrand.lambertian,
     }
     return ", ".join(what for what, there in found.items() if there)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes.core import MODELS, example, scene
+from benchmarks.thesis import PrimarySpace
 from engine_core import Settings, render
 from example_blends.model import Model, Ramp, Surface, Thing, View
 from example_blends.shapes import ball, box, corner_normals, revolved
@@ -21,6 +22,16 @@ def test_an_example_renders_without_blender(name: str) -> None:
     assert not film.messages
     assert np.isfinite(film.combined).all()
     assert film.combined[..., :3].mean() > 0.01
+
+
+@pytest.mark.parametrize("name", ["veach_plates", "violin"])
+def test_the_thesis_integrand_is_the_picture(name: str) -> None:
+    """One light chosen a sample, in four dimensions: the mean is that of the renderer."""
+    space = PrimarySpace(example(name, 16, 9))
+    u = np.random.default_rng(2).random((space.dimensions, 200_000))
+    values = space(u).mean(axis=0)
+    wanted = render(space.scene, Settings(samples=64, integrator="sobol", threads=1)).combined[..., :3].mean()
+    assert abs(values.mean() - wanted) < 4 * values.std() / np.sqrt(values.size) + 0.02 * wanted
 
 
 def test_the_lamps_of_veachs_plates_have_equal_power_and_unlike_size() -> None:

@@ -35,6 +35,9 @@ def test_statistics_name_what_polynomials_do_not_follow(scene):
     many = dataclasses.replace(scene, lights=scene.lights * 9)
     for other, why in ((blurred, "depth of field"), (many, "more than 8 lights")):
         assert why in render(other, Settings(samples=4)).statistics["control variate"]
+    glossy = dataclasses.replace(scene, materials=(Material(surface=Glossy(0.8, 0.2)),) * 2)
+    told = render(glossy, Settings(samples=4, direct_sampling="bsdf")).statistics
+    assert "BSDFs sampled alone" in told["control variate"]
 
 
 def test_rays_are_counted_by_kind(scene):

@@ -95,6 +95,7 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size. channels, transparent, sees : as in `CameraStage`.
+    sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
 
@@ -133,9 +134,10 @@ class DirectLight:
         )
         self.channels, self.transparent = self._stage.channels, self._stage.transparent
         self.sees = self._stage.sees
+        self.lambertian = shader.lambertian
         self._shadows = Shadows(self._surfaces, shader, crossings)
         self._weighed = WeighedLights(self.lights)
-        self._sampling = sampling
+        self.sampling = sampling
         self.screen_dimensions = self._stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
@@ -233,7 +235,7 @@ class DirectLight:
 
     def _samples(self, slot: Slot) -> bool:
         """Whether directions are sampled by the lobe, too."""
-        return slot.sampled and self._sampling != "light"
+        return slot.sampled and self.sampling != "light"
 
     def _reflect_lambertian(self, points: SurfacePoints, samples: LightSamples) -> Reflected:
         to_light = samples.to_light
@@ -267,7 +269,7 @@ class DirectLight:
                 if density is None:
                     density = self.lights.density(points, samples)
                 there = density if lanes is None else density.take(lanes)
-                share = _power(there, pdf) if self._sampling == "mis" else np.isinf(there)
+                share = _power(there, pdf) if self.sampling == "mis" else np.isinf(there)
                 # A mirror shows no light that has no size, as in Cycles.
                 part *= np.where(np.isinf(there) & slot.lobe.is_mirror(row), np.float32(0), share)
             if lanes is None:
@@ -298,7 +300,7 @@ class DirectLight:
             return NOTHING
         direction = take(direction, samples.which)
         value, pdf = slot.lobe.evaluate(row.take(samples.which), direction)
-        if self._sampling == "mis":
+        if self.sampling == "mis":
             if choice is not None and not isinstance(choice, EveryLight):
                 cell = None if hits.cell is None else hits.cell.take(samples.at)
                 position, normal = take(points.position, samples.at), take(points.normal, samples.at)

@@ -11,6 +11,7 @@ from .render import Sink, render
 from .scene import (
     AreaLight,
     Camera,
+    Laser,
     Light,
     Material,
     Mesh,
@@ -18,6 +19,7 @@ from .scene import (
     Scene,
     SpotLight,
     SunLight,
+    Volume,
     World,
 )
 from .settings import Settings
@@ -27,6 +29,7 @@ __all__ = [
     "CVRenderError",
     "Camera",
     "Film",
+    "Laser",
     "Light",
     "Material",
     "Mesh",
@@ -38,6 +41,7 @@ __all__ = [
     "Sink",
     "SpotLight",
     "SunLight",
+    "Volume",
     "World",
     "render",
 ]

@@ -2,14 +2,16 @@
 """What is rendered: frozen dataclasses of arrays, validated when made."""
 
 from .camera import Camera
-from .lights import AreaLight, Light, PointLight, SpotLight, SunLight, World
+from .lights import AreaLight, Laser, Light, PointLight, SpotLight, SunLight, World
 from .material import Material
 from .mesh import Mesh
 from .scene import Scene
+from .volume import Volume
 
 __all__ = [
     "AreaLight",
     "Camera",
+    "Laser",
     "Light",
     "Material",
     "Mesh",
@@ -17,5 +19,6 @@ __all__ = [
     "Scene",
     "SpotLight",
     "SunLight",
+    "Volume",
     "World",
 ]

@@ -126,6 +126,37 @@ class SunLight(Light):
 
 
 @dataclass(frozen=True, eq=False)
+class Laser(Light):
+    """A beam of parallel light along its own -Z, up to the first surface: a virtual ray light.
+
+    ``power`` is the flux of the whole beam in W. Its light is drawn in four parts, each of which can be
+    left out: what fog scatters out of the beam and then once more to the camera (`in_fog`, thesis eq.
+    6.10), what it scatters out of the beam onto surfaces (`on_surfaces`), the beam itself, where fog
+    scatters it straight to the camera (`beam`), and the spot where it ends (`spot`).
+
+    light_to_world : (4, 4); the beam begins at its origin. Scale counts for nothing.
+    radius : of the beam, in scene units.
+    length : at which it ends if it meets nothing.
+    """
+
+    light_to_world: Any = None
+    radius: float = 0.01
+    length: float = np.inf
+    in_fog: bool = True
+    on_surfaces: bool = True
+    beam: bool = True
+    spot: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.light_to_world is None:
+            object.__setattr__(self, "light_to_world", np.eye(4))
+        set_array(self, "light_to_world", (4, 4))
+        set_number(self, "radius", 0.0)
+        set_number(self, "length", 0.0, infinite=True)
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """Radiance from everywhere: one colour, a picture, or the sum of both.
 
@@ -134,6 +165,7 @@ class World:
         middle of a row along +X, its first quarter along +Y. Negative values count as 0.
     rotation : (3, 3) orthogonal, from directions in the world to those of the image.
     visible_to_camera : False leaves the background black (it still lights the scene).
+    volume : index into `Scene.volumes` of the medium that fills all space; -1 for none.
     """
 
     radiance: Any = 0.0
@@ -141,6 +173,7 @@ class World:
     name: str = "World"
     image: Any = None
     rotation: Any = None
+    volume: int = -1
 
     def __post_init__(self) -> None:
         set_colour(self, "radiance")

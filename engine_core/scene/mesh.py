@@ -24,6 +24,9 @@ class Mesh:
     visible_to_camera, casts_shadow : ray visibility.
     holdout : cuts a hole of alpha 0 into the picture, and still casts shadows.
     terminator_offset : Cycles' "shadow terminator geometry offset" for smooth triangles, in [0, 1].
+    volume : index into `Scene.volumes` of the medium that the mesh, which should be closed, encloses; -1 for
+        none. Media that overlap add up.
+    surface : False has the mesh bound its volume only: its triangles are not drawn and cast no shadow.
     attributes : for each name (T, 3, C) float32 of each triangle's corners, or (T, 1, C) of triangles.
     """
 
@@ -37,6 +40,8 @@ class Mesh:
     terminator_offset: float = 0.1
     name: str = "Mesh"
     attributes: Mapping[str, Any] = field(default_factory=dict)
+    volume: int = -1
+    surface: bool = True
 
     def __post_init__(self) -> None:
         vertices = set_array(self, "vertices", (None, 3), np.float32, finite=False)

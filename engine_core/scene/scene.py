@@ -12,7 +12,8 @@ from .camera import Camera
 from .lights import Light, World
 from .material import Material
 from .mesh import Mesh
-from .validation import fail, set_array
+from .validation import fail, set_array, set_integer
+from .volume import Volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +30,14 @@ class Scene:
     lights: tuple[Light, ...] = ()
     world: World = World()
     origin: Any = (0.0, 0.0, 0.0)
+    volumes: tuple[Volume, ...] = ()
 
     def __post_init__(self) -> None:
         for field, kind in (("camera", Camera), ("world", World)):
             if not isinstance(getattr(self, field), kind):
                 raise fail(self, field, f"is {getattr(self, field)!r}, wanted a {kind.__name__}")
-        for field, kind in (("meshes", Mesh), ("materials", Material), ("lights", Light)):
+        kinds = (("meshes", Mesh), ("materials", Material), ("lights", Light), ("volumes", Volume))
+        for field, kind in kinds:
             items = tuple(getattr(self, field))
             for i, item in enumerate(items):
                 if not isinstance(item, kind):
@@ -45,4 +48,6 @@ class Scene:
             if used.size and not (used.min() >= 0 and used.max() < len(self.materials)):
                 asked = f"has indices {used.min()} to {used.max()}"
                 raise fail(mesh, "materials", f"{asked}, the scene has {len(self.materials)} materials")
+        for owner in (self.world, *self.meshes):
+            set_integer(owner, "volume", -1, len(self.volumes) - 1)
         set_array(self, "origin", (3,))

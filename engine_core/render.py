@@ -17,13 +17,15 @@ from typing import Any
 import numpy as np
 
 from .errors import RenderError
-from .image.film import FAR, LARGEST, Film
-from .integration.point_sets import staged_points
+from .image.film import FAR, LARGEST, Film, Layer
+from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
+from .parts import Part, parts_of
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
+from .screen_picture import ScreenPicture
 from .settings import Settings
 from .transport.direct_light import NON_FINITE, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import CELL, LightChoice
@@ -134,8 +136,10 @@ class _Render:
             settings.direct_sampling,
             settings.transparent_bounces,
         )
-        self._film = Film.empty(*scene.camera.region_size)
+        self._parts = parts_of(scene, self._integrand, settings, self._check)
+        self._film = Film.empty(*scene.camera.region_size, [part.shows for part in self._parts])
         self._film.messages += self._integrand.messages
+        self._surface = self._film.of_surfaces()
         self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
         self._points = staged_points(
             "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
@@ -144,6 +148,17 @@ class _Render:
             self._split,
             settings.seed,
         )
+        self._part_points = [
+            staged_points(
+                "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
+                self._integrand.screen_dimensions,
+                part.plain.rest_dimensions,
+                part.plain_split,
+                settings.seed + 17 * (number + 1),
+            )
+            for number, part in enumerate(self._parts)
+        ]
+        self._parts_done = settings.integrator in ("control_variates", "cv_only")
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
         self._samples = settings.samples
         if self._quadrature:
@@ -159,10 +174,9 @@ class _Render:
         self._done = self._pass_work = 0
         self._counts: Counter[str] = Counter()
         self._counting = Lock()
-        self._integrals = {
-            "control variate": f"skipped: the integrator is {settings.integrator}",
-            "volume": "skipped: volumes are not supported yet",
-        }
+        self._integrals = {"control variate": f"skipped: the integrator is {settings.integrator}"}
+        if not self._parts:
+            self._integrals["volume"] = "skipped: there is none that light reaches"
         self._regions = self._nodes = 0
         self._stages = {"seconds control variate": 0.0, "seconds sampling": 0.0}
         width, height = scene.camera.region_size
@@ -173,7 +187,7 @@ class _Render:
         own = executor is None
         pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
         try:
-            ended = self._by_control_variates(pool)
+            ended = self._parts_by_control_variates(pool) or self._by_control_variates(pool)
             if ended is None:
                 begin = time.perf_counter()
                 ended = self._passes(pool)
@@ -206,23 +220,9 @@ class _Render:
             return None
         begin = time.perf_counter()
         picture = ControlVariatePicture(
-            self._integrand, settings, self._camera.region, self._film, self._check
+            self._integrand, settings, self._camera.region, self._surface, self._check
         )
-
-        def map_(function, items):
-            return list(pool.map(_quietly, repeat(function), items))
-
-        def enough() -> bool:
-            # Half of the time is the samples', to which the polynomials are worth little alone.
-            limit = settings.time_limit
-            return bool(limit) and time.perf_counter() - self._begin > limit / 2
-
-        with ThreadPoolExecutor(1, "cv-render-build") as driver:
-            building = {driver.submit(_quietly, picture.build, map_, enough): None}
-            outcome = next(iter(building))
-            ended = self._wait(
-                building, lambda future, _: None, lambda: "Building the control variate", always=True
-            )
+        outcome, ended = self._drive(pool, picture.build, "Building the control variate")
         built = time.perf_counter()
         self._regions, self._nodes = picture.regions, picture.nodes
         self._stages["seconds control variate"] = built - begin
@@ -233,8 +233,7 @@ class _Render:
         helps = outcome.result()
         if helps:
             self._integrals["control variate"] = "built"
-            x0, y0, x1, y1 = self._camera.region
-            self._sink.tile(self._film, 0, 0, x1 - x0, y1 - y0)
+            self._show_all()
             ended = self._refine(pool, picture)
             if settings.standard_error and not alone:
                 picture.finish()
@@ -243,6 +242,74 @@ class _Render:
             self._integrals["control variate"] = "given up: polynomials would not pay"
         self._count(picture.integrand)
         return (ended or "samples") if helps else None
+
+    def _drive(self, pool: Executor, build: Callable, text: str) -> tuple[Future, str | None]:
+        """Run ``build(map_, enough)``, which uses the workers; its future, and why it was stopped if it was.
+
+        map_ : runs a function over items on the workers. enough : whether to make do with what there is.
+        """
+
+        def map_(function, items):
+            return list(pool.map(_quietly, repeat(function), items))
+
+        def enough() -> bool:
+            # Half of the time is the samples', to which the polynomials are worth little alone.
+            limit = self._settings.time_limit
+            return bool(limit) and time.perf_counter() - self._begin > limit / 2
+
+        with ThreadPoolExecutor(1, "cv-render-build") as driver:
+            building = {driver.submit(_quietly, build, map_, enough): None}
+            outcome = next(iter(building))
+            ended = self._wait(building, lambda future, _: None, lambda: text, always=True)
+        return outcome, ended
+
+    def _show(self, x0: int, y0: int, x1: int, y1: int) -> None:
+        self._film.compose(x0, y0, x1, y1)
+        self._sink.tile(self._film, x0, y0, x1, y1)
+
+    def _show_all(self) -> None:
+        self._show(0, 0, *self._camera.region_size)
+
+    # -- fog and lasers ----------------------------------------------------------------------------
+
+    def _parts_by_control_variates(self, pool: Executor) -> str | None:
+        """Build, show and refine the pictures of fog and lasers; returns why it was stopped, if it was."""
+        settings = self._settings
+        if settings.integrator not in ("control_variates", "cv_only"):
+            return None
+        for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
+            begin = time.perf_counter()
+            picture = ScreenPicture(part, settings, self._camera.region, layer, self._check)
+            outcome, ended = self._drive(pool, picture.build, f"Building the control variate of {part.name}")
+            if not ended:
+                outcome.result()
+                self._show_all()
+                if settings.integrator == "control_variates":
+                    ended = self._refine_part(pool, picture, part.name)
+            self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
+            stages = picture.seconds | {"in all": time.perf_counter() - begin}
+            self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
+            self._integrals[part.name] = "built" if picture.regions else "given up: sampled"
+            self._counts.update(part.counts())
+            if ended:
+                return ended
+        return None
+
+    def _refine_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
+        outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
+        if ended:
+            return ended
+        outcome.result()
+        self._done, self._pass_work = 0, sum(picture.work(number) for number in range(len(picture)))
+
+        def done(samples: int) -> None:
+            self._done += samples
+
+        pending = {pool.submit(_quietly, picture.refine, n, done): n for n in range(len(picture))}
+        ended = self._wait(pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True)
+        picture.finish()
+        self._show_all()
+        return ended
 
     def _refine(self, pool: Executor, picture: ControlVariatePicture) -> str | None:
         """Passes over the tiles that double the samples each time; returns why they were stopped."""
@@ -254,7 +321,7 @@ class _Render:
 
         def finish(future: Future, number: int) -> None:
             future.result()
-            self._sink.tile(self._film, *picture.box(number))
+            self._show(*picture.box(number))
 
         for pass_, samples in enumerate(work):
             self._pass_work, self._done = sum(samples), 0
@@ -318,6 +385,9 @@ class _Render:
         needed = max(start + count, min(self._samples, PREPARED_SAMPLES))
         self._points[0].prepare(needed)
         self._points[1].prepare(needed * self._split)
+        for part, points in zip(self._parts, self._part_points, strict=True):
+            points[0].prepare(needed)
+            points[1].prepare(needed * part.plain_split)
         pending = {pool.submit(_quietly, self._work, tile, start, count): tile for tile in tiles}
 
         def text() -> str:
@@ -373,7 +443,7 @@ class _Render:
     def _finish(self, future: Future, tile: _Tile) -> None:
         future.result()
         x0, y0 = self._camera.region[:2]
-        self._sink.tile(self._film, tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
+        self._show(tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
 
     def _tell(self, before: float, share: float, elapsed: float, text: str) -> None:
         part = min(self._done / max(self._pass_work, 1), 1.0)
@@ -402,7 +472,7 @@ class _Render:
             tile.choice = choice
         integrand = DirectLightOverTile(self._integrand, choice, self._check)
         column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
-        film = self._film
+        film = self._surface
 
         def after_first(part: slice, first: int, hits) -> None:
             depth = hits.depth.reshape(part.stop - part.start, -1)
@@ -441,6 +511,35 @@ class _Render:
             film.normal[row, column] = (old + (mean[4:7] - old) * share).T
         film.sample_count[row, column] = start + count
         self._count(integrand)
+        for part, layer, points in zip(self._parts, self._film.layers[1:], self._part_points, strict=True):
+            if not self._parts_done:
+                self._sample_part(part, layer, points, pixels, row, column, start, count)
+
+    def _sample_part(
+        self,
+        part: Part,
+        layer: Layer,
+        points: tuple[PointSet, PointSet],
+        pixels: Pixels,
+        row: np.ndarray,
+        column: np.ndarray,
+        start: int,
+        count: int,
+    ) -> None:
+        """Add samples of fog or lasers to the pixels of one tile."""
+        if self._quadrature and part.plain.rest_dimensions == 1:
+            sums = sum_quadrature(
+                part.plain, pixels, pixels.key(), points[0], start, count, self._tolerance
+            )
+        else:
+            sums = sum_samples(
+                part.plain, pixels, pixels.key(), points, start, count, part.plain_split, self._settings.batch_size
+            )
+        mean = np.clip(sums.values[:3] / count, -LARGEST, LARGEST)
+        before = layer.radiance[row, column].T
+        share = np.float32(count / (start + count))
+        layer.radiance[row, column] = (before + (mean - before) * share).T
+        layer.sample_count[row, column] = start + count
 
     def _count(self, spent: DirectLightOverTile) -> None:
         """Add up what evaluations cost; called once for a tile, so that it costs nothing itself."""
@@ -466,15 +565,19 @@ class _Render:
 
     def _tell_error(self) -> None:
         """Fill the film's standard error, from the halves of what every pixel got in its last whole pass."""
-        count = self._film.sample_count
+        count = self._surface.sample_count
         error = standard_error(
             self._spread, np.minimum(count.ravel(), 2), count.shape, independent=True
         ).reshape(3, *count.shape)
-        self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
+        self._surface.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
 
     def _report(self) -> None:
         end = time.perf_counter()
         film = self._film
+        film.compose(0, 0, *self._camera.region_size)
+        if not self._parts_done:
+            for part in self._parts:
+                self._counts.update(part.counts())
         if self._counts[NON_FINITE]:
             film.messages.append(
                 f"{self._counts[NON_FINITE]} light samples were not finite and count as black; "

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a picture is the sum of beside its surfaces: the light of fog and of lasers, an integral each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .integration.inner_rules import InnerRule
+from .integration.integrand import StagedIntegrand
+from .scene import Scene
+from .settings import Settings
+from .transport.direct_light import DirectLight
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One integral over every pixel.
+
+    name, shows : for people; and which pass it belongs to (`image.film.VOLUME` or `LASER`).
+    plain : a sample is one point of all its dimensions. plain_split : of the rest for each camera ray.
+    at_nodes, rule : how a node of a control variate over the screen alone integrates the rest.
+    sampled, split : an unbiased estimate of the same with little noise, for the residual.
+    cost : of one of these, in units of `Settings.samples`.
+    """
+
+    name: str
+    shows: str
+    plain: StagedIntegrand
+    plain_split: int
+    at_nodes: StagedIntegrand
+    rule: InnerRule
+    sampled: StagedIntegrand
+    split: int
+    cost: float
+
+    def counts(self) -> Counter[str]:
+        """Rays by kind, and what was not finite, so far."""
+        different = {id(integrand): integrand for integrand in (self.plain, self.at_nodes, self.sampled)}
+        return sum((integrand.counts for integrand in different.values()), Counter())
+
+
+def parts_of(
+    scene: Scene, surfaces: DirectLight, settings: Settings, check: Callable[[], None]
+) -> list[Part]:
+    """The integrals that a scene has; none where there is neither fog nor a laser.
+
+    check : called before every batch; may raise, to give up.
+    """
+    return []

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An integral of its own over every pixel, by a control variate over the screen alone.
+
+Polynomials cover the two dimensions of the picture; what else is integrated is integrated inside each
+node, by a rule, and at each sample of the residual, by an unbiased estimate: of fog, the light along a
+whole camera ray. So h costs a few products, H one small matrix product a size of region, and most pixels
+no sample at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from time import perf_counter
+
+import numpy as np
+
+from .image.film import LARGEST, Layer
+from .integration.allocation import evenly_spread, sample_counts
+from .integration.build import NodeEvaluator, grow, root_edge
+from .integration.control_variates import drawn
+from .integration.integrand import values_at
+from .integration.point_sets import staged_points
+from .integration.regions import BIN, RegionTree, neighbourly
+from .integration.rules import bin_means, face_weights, lagrange
+from .parts import Part
+from .settings import Settings
+from .transport.camera_hits import Pixels
+
+CHANNELS = 3
+
+SHARE = 1 / 3
+"""Of the budget, spent on nodes."""
+
+PILOT_ONE_IN = 16
+"""One pixel in so many is sampled first, and tells its block how right the nodes' prediction is."""
+
+LOG_BLOCK = 3
+"""log2 of the edge in pixels of the blocks that pilot samples speak for, with the blocks around."""
+
+DEFENSIVE = 0.1
+"""Of the residual samples, spread evenly."""
+
+CHANCE = 0.125
+"""The least with which a pixel is sampled at all."""
+
+PLACE = 1 / 64
+"""Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
+
+MOST = 1 << 12
+"""Samples of a pixel at most."""
+
+MOST_REGIONS = 1_000_000
+
+BEYOND_HOPE = 0.5
+"""Part of its variance that a region's polynomial may leave over: where it is more, f itself is sampled."""
+
+Map = Callable[[Callable, Iterable], list]
+
+
+class ScreenPicture:
+    """One layer of a picture: built, shown whole, and refined where its error is.
+
+    regions, nodes : how many there are. seconds : by stage.
+    """
+
+    def __init__(
+        self,
+        part: Part,
+        settings: Settings,
+        region: tuple[int, int, int, int],
+        layer: Layer,
+        check: Callable[[], None],
+        without: np.ndarray | None = None,
+    ) -> None:
+        """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise.
+
+        without : (W, H) bool, pixels of no polynomial, that are sampled alone.
+        """
+        self._at_nodes, self._rule, self._sampled, self._split = part.at_nodes, part.rule, part.sampled, part.split
+        self._cost, self._settings, self._layer, self._check = part.cost, settings, layer, check
+        self._corner = region[:2]
+        self._bins = (region[2] - region[0], region[3] - region[1])
+        self._without = without
+        self.regions = self.nodes = 0
+        self.seconds: dict[str, float] = {}
+        self._tree: RegionTree | None = None
+
+    def build(self, map_: Map, enough: Callable[[], bool]) -> None:
+        """Build the polynomials and write their means into the layer; all plain where they do not help.
+
+        map_ : runs a function over items on the workers. enough : whether to make do with what there is.
+        """
+        settings, bins = self._settings, self._bins
+        alone = settings.integrator == "cv_only"
+        self._left = total = float(settings.samples) * bins[0] * bins[1]
+        began = perf_counter()
+        evaluator = NodeEvaluator(
+            self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
+        )
+        # A node is worth what a sample of the residual is.
+        worth = evaluator.cost / self._cost
+        budget = total * worth * (1.0 if alone else SHARE)
+        log_edge = root_edge(bins, 2, budget / evaluator.cost)
+        if log_edge is not None and not (self._without is not None and self._without.all()):
+            tree = RegionTree(bins, 2, log_edge, evaluator, False, self._without)
+            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
+            self.regions, self.nodes = len(tree), tree.store.count
+            self._left -= evaluator.evaluations / worth
+            if helps or alone:
+                self._tree = tree
+        grown = perf_counter()
+        self._integrate()
+        self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
+        self._write(slice(None), slice(None))
+
+    def _pixels(self, index: np.ndarray) -> Pixels:
+        x, y = index[0] + self._corner[0], index[1] + self._corner[1]
+        return Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(x), np.int32))
+
+    def _integrate(self) -> None:
+        """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
+        width, height = self._bins
+        self._mean = np.zeros((height, width, CHANNELS), np.float32)
+        self._region = np.full((height, width), -1, np.int32)
+        self._residual = np.zeros_like(self._mean)
+        if self._tree is None:
+            return
+        tree = self._tree
+        leaves, values = tree.leaves(), tree.store.values
+        weights = face_weights(2)
+        density = neighbourly(leaves.density, leaves, tree.store.count)
+        inside = np.zeros(len(leaves))
+        if tree.store.spread is not None:
+            inside = tree.store.spread.take(leaves.nodes) @ weights
+        coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
+        self._coefficients = coefficients.astype(np.float32)
+        first = np.einsum("rnc,n->rc", coefficients, weights)
+        variance = np.maximum(np.einsum("rnc,n->rc", coefficients**2, weights) - first**2, 0)
+        # One pixel's own variance can't be told from its noise: only where regions are no longer halved.
+        hopeless = leaves.density**2 > BEYOND_HOPE * np.sqrt(variance).sum(axis=1) ** 2
+        log = leaves.size.astype(np.int64) - BIN
+        hopeless &= (log.sum(axis=0) == 0) & (leaves.density > 0)
+        self._deviation = np.hypot(density, inside).astype(np.float32)
+        self._deviation_of_f = np.hypot(np.sqrt(variance).sum(axis=1), inside).astype(np.float32)
+        self._start = (leaves.start >> BIN).astype(np.int32)
+        self._per_pixel = np.ldexp(1.0, -log).astype(np.float32)
+        plain = np.flatnonzero(hopeless)
+        code = log[0] * 64 + log[1]
+        for kind in np.unique(code):
+            chosen = np.flatnonzero(code == kind)
+            along = [np.arange(1 << int(n)) for n in divmod(int(kind), 64)]
+            x, y = (self._start[d, chosen][:, None] + along[d] for d in range(2))
+            grid = coefficients[chosen].reshape(-1, 3, 3, CHANNELS)
+            means = np.einsum("yj,nijc->nyic", bin_means(len(along[1])), grid)
+            means = np.einsum("xi,nyic->nyxc", bin_means(len(along[0])), means)
+            self._mean[y[:, :, None], x[:, None, :]] = means
+            self._region[y[:, :, None], x[:, None, :]] = chosen[:, None, None]
+        if plain.size:
+            is_plain = np.zeros(len(leaves) + 1, bool)
+            is_plain[plain] = True
+            self._plain_pixels = is_plain[self._region]
+        else:
+            self._plain_pixels = np.zeros((height, width), bool)
+        del self._tree
+
+    def allocate(self, map_: Map) -> None:
+        """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
+        began = perf_counter()
+        settings, (width, height) = self._settings, self._bins
+        served = self._region >= 0
+        if served.any():
+            served &= ~self._plain_pixels
+        self._approximate = served
+        # H stays on show until samples are there; from here on it is no part of a plain pixel.
+        self._mean[~served] = 0
+        # Pixels of no region: as if all were alike. The deviation of a pixel that is sampled plainly is f's.
+        if (self._region >= 0).any():
+            table = np.append(self._deviation, self._deviation_of_f.mean())
+            said = table.take(self._region, mode="wrap")
+            plain = (self._region >= 0) & ~served
+            said[plain] = self._deviation_of_f.take(self._region[plain])
+        else:
+            said = np.ones((height, width), np.float32)
+        self._points = staged_points(
+            "sobol", 2, self._sampled.rest_dimensions, self._split, settings.seed + 1
+        )
+        for group, points in zip(self._points, (1, self._split), strict=True):
+            group.prepare(points)
+        pilot = evenly_spread((width, height), PILOT_ONE_IN, settings.seed).T | ~served
+        self._chance = np.ones((height, width), np.float32)
+        self._count = np.zeros((height, width), np.int32)
+        found = np.zeros((height, width), np.float32)
+        rows = np.flatnonzero(pilot)
+
+        def one(part: np.ndarray) -> None:
+            y, x = np.divmod(part, width)
+            residual = self._residuals(x, y, 1)
+            self._residual[y, x] = residual
+            found[y, x] = np.square(np.abs(residual).sum(axis=1))
+
+        map_(one, self._chunks(rows, 1))
+        self._count[pilot] = 1
+        deviation = learned_by_blocks(found, pilot, said)
+        budget = self._left / self._cost - rows.size
+        due, chance = sample_counts(deviation.ravel(), max(budget, 0), DEFENSIVE, CHANCE)
+        due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
+        kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
+        self._chance = np.where(pilot, 1, chance).astype(np.float32)
+        due = np.where(kept, due, 0)
+        due[pilot] = np.maximum(due[pilot], 1)
+        self._due = due.astype(np.int32)
+        self._deviation_learned = deviation
+        longest = int(due.max())
+        for group, points in zip(self._points, (longest, longest * self._split), strict=True):
+            group.prepare(points)
+        self._work = [
+            (n, part)
+            for n in np.unique(due[due > self._count])[::-1]
+            for part in self._chunks(np.flatnonzero((due == n) & (due > self._count)), int(n))
+        ]
+        self.seconds["allocation"] = perf_counter() - began
+
+    def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
+        step = max(1, self._settings.batch_size // (n * max(self._split, 2)))
+        return [rows[low : low + step] for low in range(0, len(rows), step)]
+
+    def __len__(self) -> int:
+        """How many pieces of work there are."""
+        return len(self._work)
+
+    def work(self, number: int) -> int:
+        """Samples that a piece takes."""
+        n, part = self._work[number]
+        return int(n) * len(part)
+
+    def refine(self, number: int, done: Callable[[int], None]) -> None:
+        """Sample the residual of a piece, and write it into the layer."""
+        n, part = self._work[number]
+        y, x = np.divmod(part, self._bins[0])
+        mean = self._residuals(x, y, int(n))
+        self._residual[y, x] = mean / self._chance[y, x][:, None]
+        self._count[y, x] = n
+        self._write(y, x)
+        done(int(n) * len(part))
+
+    def _residuals(self, x: np.ndarray, y: np.ndarray, n: int) -> np.ndarray:
+        """(B, C) mean of n samples of f - h in pixels (B,), of f where h does not serve."""
+        self._check()
+        pixels = self._pixels(np.stack([x, y]))
+        keys = pixels.key()
+        screen = self._points[0].points(keys, 0, n)
+        rest = self._points[1].points(keys, 0, n * self._split)
+        stage = self._sampled.first(pixels, screen)
+        rest = rest.reshape(len(rest), -1)
+        f = values_at(self._sampled, stage, len(x) * n, None, rest)[:CHANNELS]
+        f = f.reshape(CHANNELS, len(x), -1).mean(axis=2, dtype=np.float64).T
+        served = np.flatnonzero(self._approximate[y, x])
+        if served.size:
+            f[served] -= self._variate(x[served], y[served], screen[:, served])
+        return f
+
+    def _variate(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(B, C) mean of h over points u (2, B, n) of pixels' unit squares."""
+        region = self._region[y, x]
+        weights = []
+        for axis, place in enumerate((x, y)):
+            t = (place - self._start[axis].take(region))[:, None] + u[axis]
+            t *= self._per_pixel[axis].take(region)[:, None]
+            weights.append(lagrange(t))  # (3, B, n)
+        both = np.einsum("ibn,jbn->bij", *weights).reshape(len(x), 9) / u.shape[2]
+        return np.einsum("bk,bkc->bc", both, self._coefficients.take(region, axis=0))
+
+    def _write(self, y: np.ndarray | slice, x: np.ndarray | slice) -> None:
+        h, residual = self._mean[y, x], self._residual[y, x]
+        layer = self._layer
+        layer.radiance[y, x] = np.clip(h + residual, -LARGEST, LARGEST)
+        layer.control_variate[y, x], layer.residual[y, x] = h, residual
+
+    def finish(self) -> None:
+        """All that is left: pixels sampled in the pilot alone, counts, and the error."""
+        self._write(slice(None), slice(None))
+        self._layer.sample_count[:] = self._count
+        # A mean of n points of a net, that is taken by chance.
+        error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
+        self._layer.standard_error[:] = (error / CHANNELS)[..., None]
+
+
+def learned_by_blocks(found: np.ndarray, pilot: np.ndarray, said: np.ndarray) -> np.ndarray:
+    """(H, W) deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
+
+    found : (H, W) f - h squared in pixels of the ``pilot``. said : (H, W) the nodes' deviation. A pixel's own
+    sample has no say in its own deviation, so that it may be kept.
+    """
+    variance = np.square(said, dtype=np.float64)
+    variance += 1e-4 * variance.mean() + 1e-300
+    of_pilot = np.where(pilot, variance, 0)
+    sums = [_around(_blocks(a)) for a in (found, of_pilot, pilot.astype(np.float64))]
+    height, width = found.shape
+    y, x = np.arange(height) >> LOG_BLOCK, np.arange(width) >> LOG_BLOCK
+    seen, hoped, count = (s[y[:, None], x] for s in sums)
+    seen -= np.where(pilot, found, 0)
+    hoped -= of_pilot
+    count -= pilot
+    total = max(float(of_pilot.sum()), 1e-300)
+    ratio, mean = float(np.where(pilot, found, 0).sum()) / total, float(found[pilot].mean()) if pilot.any() else 0
+    prior = np.where(count > 0, hoped / np.maximum(count, 1), variance)
+    ratio = (np.maximum(seen, 0) + prior * ratio) / (np.maximum(hoped, 0) + prior)
+    mean = (np.maximum(seen, 0) + mean) / (np.maximum(count, 0) + 1)
+    return np.sqrt(variance * ratio + PLACE * mean)
+
+
+def _blocks(a: np.ndarray) -> np.ndarray:
+    """Sums over blocks."""
+    starts = [np.arange(0, n, 1 << LOG_BLOCK) for n in a.shape]
+    return np.add.reduceat(np.add.reduceat(a, starts[0], axis=0, dtype=np.float64), starts[1], axis=1)
+
+
+def _around(a: np.ndarray) -> np.ndarray:
+    """Sums of each with its eight neighbours."""
+    padded = np.pad(a, 1)
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Maps from the unit square to disks, caps and hemispheres, and frames to place them in."""
+"""Maps from the unit square to disks, caps, spheres and hemispheres, and frames to place them in."""
 
 from __future__ import annotations
 
@@ -74,6 +74,12 @@ def cosine_hemisphere(normal: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np
     z = np.sqrt(np.maximum(1 - x * x - y * y, np.float32(1e-12)))
     s, t = basis(normal)
     return x * s + y * t + z * normal, np.float32(np.pi) / z
+
+
+def uniform_sphere(u: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Directions (3, N) of pdf 1 / (4 pi), and their measure 4 pi."""
+    x, y, below = cap(u[0], u[1], np.float32(2))
+    return np.stack([x, y, 1 - below]), np.float32(4 * np.pi)
 
 
 def linear(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> np.ndarray:

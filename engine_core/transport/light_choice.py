@@ -76,11 +76,18 @@ class LightChoice(Protocol):
 
 
 class Lights:
-    """All lights of a scene, numbered group after group."""
+    """All lights of a scene, numbered group after group.
+
+    centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; 0 and inf of one at infinity.
+    """
 
     def __init__(self, groups: Sequence[Emitters]) -> None:
         self.groups = tuple(groups)
         self.first = np.cumsum([0] + [len(group) for group in groups])
+        self.centre, self.reach = np.zeros((3, len(self))), np.full(len(self), np.inf)
+        for group, start, stop in zip(self.groups, self.first[:-1], self.first[1:], strict=True):
+            if not group.at_infinity:
+                self.centre[:, start:stop], self.reach[start:stop] = group.centre, group.reach
 
     def __len__(self) -> int:
         return int(self.first[-1])

@@ -139,6 +139,20 @@ class SceneLights(Lights):
         w = w if self.any_mesh else None
         return LightSamples(order, at, light, to_light, weight, chance, at_infinity, is_mesh, w)
 
+    def sample_in_space(
+        self, light: np.ndarray | None, position: np.ndarray, u: np.ndarray, w: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool, np.ndarray | bool]:
+        """Samples of lights ``light`` (K,), ascending, from points (3, K) in space; None for the only light.
+
+        u : (2, K) on the light. w : (K,) to choose among a mesh's triangles.
+        Returns vectors (3, K), weights (K,), `at_infinity` and `is_mesh`, as in `LightSamples`. Weight times
+        `strength_in_space` is fluence, what all directions together bring of the light.
+        """
+        if light is None:
+            group = self.groups[0]
+            return *group.sample(None, position, None, w, u), group.at_infinity, group.is_mesh
+        return self._sample_sorted(light, position, None, w, u)
+
     def _sample_sorted(self, light, position, normal, w, u):
         """Samples of lights in ascending order, kind after kind."""
         n = len(light)
@@ -151,7 +165,7 @@ class SceneLights(Lights):
             part = slice(low, high)
             which = light[part] - start if len(group) > 1 else None
             to_light[:, part], weight[part] = group.sample(
-                which, position[:, part], normal[:, part], w[part], u[:, part]
+                which, position[:, part], None if normal is None else normal[:, part], w[part], u[:, part]
             )
             at_infinity[part] = group.at_infinity
             is_mesh[part] = group.is_mesh
@@ -166,17 +180,37 @@ class SceneLights(Lights):
         if not self._has_tint:
             return self._strength if samples.light is None else take(self._strength, samples.light.take(rows))
         samples = samples.take(rows)
-        strength = self._strength if samples.light is None else take(self._strength, samples.light)
-        strength = np.array(np.broadcast_to(strength, samples.to_light.shape))
-        for group, part, which in self._parts(samples):
-            to_light = samples.to_light[:, part]
+        return self._tinted(samples.light, points.position, samples.at, samples.to_light, samples.w)
+
+    def strength_in_space(
+        self, light: np.ndarray | None, position: np.ndarray, to_light: np.ndarray, w: np.ndarray
+    ) -> np.ndarray:
+        """(3, K) or (3, 1) strength of what `sample_in_space` was given, and gave."""
+        if not self._has_tint:
+            return self._strength if light is None else take(self._strength, light)
+        return self._tinted(light, position, None, to_light, w)
+
+    def _tinted(
+        self,
+        light: np.ndarray | None,
+        position: np.ndarray,
+        at: np.ndarray | None,
+        to_light: np.ndarray,
+        w: np.ndarray | None,
+    ) -> np.ndarray:
+        """(3, K) strength of lights towards points ``at`` (K,) of all, where it varies with the direction."""
+        strength = self._strength if light is None else take(self._strength, light)
+        strength = np.array(np.broadcast_to(strength, to_light.shape))
+        vectors = to_light
+        for group, part, which in self._parts(light):
+            to_light = vectors[:, part]
             if group.has_tint:
                 strength[:, part] *= group.tint(which, to_light)
             elif group.is_mesh and self._any_varies:
-                position = take(points.position, samples.at[part])
-                triangle, u, v = group.point_of(which, samples.w[part], position, to_light)
-                light = 0 if which is None else which
-                size = np.broadcast_to(group.size[light].astype(np.float32), len(triangle))
+                here = position[:, part] if at is None else take(position, at[part])
+                triangle, u, v = group.point_of(which, w[part], here, to_light)
+                size = group.size[0 if which is None else which].astype(np.float32)
+                size = np.broadcast_to(size, len(triangle))
                 rows = np.flatnonzero(self._varies.take(triangle))
                 emission = self._emission(
                     triangle.take(rows), u.take(rows), v.take(rows), take(to_light, rows)
@@ -191,16 +225,16 @@ class SceneLights(Lights):
         points = self._shader.points_on(triangle, u, v, -to_light)
         return self._shader.emission(points, -to_light)
 
-    def _parts(self, samples: LightSamples):
-        """The groups that samples belong to, which slice of these is theirs, and their lights in it."""
-        if samples.light is None:
+    def _parts(self, light: np.ndarray | None):
+        """The groups that ``light`` (K,) are of, which slice of these is theirs, and their numbers in it."""
+        if light is None:
             yield self.groups[0], slice(None), None
             return
-        cuts = np.searchsorted(samples.light, self.first)
+        cuts = np.searchsorted(light, self.first)
         for group, start, low, high in zip(self.groups, self.first[:-1], cuts[:-1], cuts[1:], strict=True):
             if low < high:
                 part = slice(low, high)
-                yield group, part, samples.light[part] - start if len(group) > 1 else None
+                yield group, part, light[part] - start if len(group) > 1 else None
 
     def density(self, points: SurfacePoints, samples: LightSamples) -> np.ndarray:
         """(K,) pdf per solid angle with which sampling takes these samples, their lights' chance included.
@@ -208,18 +242,31 @@ class SceneLights(Lights):
         Infinite where a light has no size: nothing else meets it.
         """
         position, normal = take(points.position, samples.at), take(points.normal, samples.at)
-        density = np.empty(len(samples.at), np.float32)
-        for group, part, which in self._parts(samples):
-            to_light = samples.to_light[:, part]
-            if group.is_mesh:
-                triangle, _, _ = group.point_of(which, samples.w[part], position[:, part], to_light)
-                density[part] = group.pdf_of_triangle(triangle, position[:, part], normal[:, part], to_light)
-            else:
-                density[part] = group.pdf(which, position[:, part], normal[:, part], to_light)
-        if self._sizeless.any():
-            density[self._sizeless.take(0 if samples.light is None else samples.light)] = np.inf
+        density = self._density(samples.light, position, normal, samples.to_light, samples.w)
         if samples.chance is not None:
             density *= samples.chance
+        return density
+
+    def density_in_space(
+        self, light: np.ndarray | None, position: np.ndarray, to_light: np.ndarray, w: np.ndarray
+    ) -> np.ndarray:
+        """(K,) pdf per solid angle with which `sample_in_space` takes ``to_light`` (3, K).
+
+        As in `density`, infinite where a light has no size.
+        """
+        return self._density(light, position, None, to_light, w)
+
+    def _density(self, light, position, normal, to_light, w):
+        density = np.empty(position.shape[1], np.float32)
+        for group, part, which in self._parts(light):
+            where = position[:, part], None if normal is None else normal[:, part], to_light[:, part]
+            if group.is_mesh:
+                triangle, _, _ = group.point_of(which, w[part], where[0], where[2])
+                density[part] = group.pdf_of_triangle(triangle, *where)
+            else:
+                density[part] = group.pdf(which, *where)
+        if self._sizeless.any():
+            density[self._sizeless.take(0 if light is None else light)] = np.inf
         return density
 
     # -- met ---------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from ...geometry.frame import Frame
 from ...geometry.vectors import dot, length, take
 from ...geometry.warps import concentric_disk
 from ...scene import AreaLight
-from .base import FEW, Emitters, Sample, area_to_solid_angle, of
+from .base import FEW, Emitters, Sample, area_to_solid_angle, of, vectors_to
 from .bounds import Bounds
 from .spherical import SphericalEllipse, SphericalRectangle
 
@@ -46,8 +46,9 @@ class AreaEmitters(Emitters):
 
     Sampled by area, measure cos / d^2. What is large for the shaded point is sampled by its solid angle,
     which over its area is the measure: nothing peaks however near it is. A rectangle's directions follow the
-    cosine at the shaded point as well, interpolated between its corners (as in pbrt-4). Where a narrow
-    spread lets only a part of a light reach the point, only the rectangle about that part is sampled.
+    cosine at the shaded point as well, interpolated between its corners (as in pbrt-4), if it has a normal.
+    Where a narrow spread lets only a part of a light reach the point, only the rectangle about that part is
+    sampled.
     """
 
     def __init__(self, lights: Sequence[AreaLight], frame: Frame) -> None:
@@ -94,6 +95,9 @@ class AreaEmitters(Emitters):
             v.astype(np.float32) for v in ((yy * x - xy * y) * inverse, (xx * y - xy * x) * inverse)
         )
         self._sized = np.arange(len(lights))
+        self.centre = self._centre.astype(np.float64)
+        # What a rectangle's corners need is enough for the ellipse within.
+        self.reach = 0.5 * np.maximum(length(x + y), length(x - y))
         if len(lights) > FEW:
             reach = 0.5 * (np.abs(x) + np.abs(y))
             self._bounds = Bounds(self._centre - reach, self._centre + reach)
@@ -109,7 +113,7 @@ class AreaEmitters(Emitters):
     def _figures(self, which: np.ndarray | None, position: np.ndarray) -> _Figures:
         edge_x, edge_y, facing = (of(t, which) for t in (self._edge_x, self._edge_y, self._facing))
         centre, area, ellipse = (
-            of(self._centre, which) - position,
+            vectors_to(self._centre, which, position),
             of(self._area, which),
             of(self._ellipse, which),
         )
@@ -166,7 +170,12 @@ class AreaEmitters(Emitters):
         return to_light, measure
 
     def _sample_near(
-        self, which: np.ndarray | None, figures: _Figures, near: np.ndarray, normal: np.ndarray, u: np.ndarray
+        self,
+        which: np.ndarray | None,
+        figures: _Figures,
+        near: np.ndarray,
+        normal: np.ndarray | None,
+        u: np.ndarray,
     ) -> Sample:
         """Samples without the grid, lanes ``near`` by solid angle where that can be."""
         if near.size == u.shape[1] and not self._ellipse.any():
@@ -186,24 +195,24 @@ class AreaEmitters(Emitters):
         return to_light, measure
 
     def _spherical(
-        self, figures: _Figures, near: np.ndarray, normal: np.ndarray
+        self, figures: _Figures, near: np.ndarray, normal: np.ndarray | None
     ) -> Iterator[tuple[np.ndarray, SphericalRectangle | SphericalEllipse]]:
         """Maps of lanes ``near``, rectangles and ellipses apart."""
         if near.size == 0:
             return
         if self._ellipse.any():
-            ellipse = np.broadcast_to(figures.ellipse, normal.shape[1]).take(near)
+            ellipse = np.broadcast_to(figures.ellipse, figures.centre.shape[1]).take(near)
             parts = ((SphericalRectangle, near[~ellipse]), (SphericalEllipse, near[ellipse]))
         else:
             parts = ((SphericalRectangle, near),)
         for kind, lanes in parts:
             if lanes.size:
                 some = figures.take(lanes)
-                yield lanes, kind(*some[:4], take(normal, lanes))
+                yield lanes, kind(*some[:4], None if normal is None else take(normal, lanes))
 
     def _inside(self, which: np.ndarray | None, position: np.ndarray, to_light: np.ndarray) -> np.ndarray:
         """(M,) whether a point of an ellipse's rectangle is of the ellipse."""
-        gap = to_light - (of(self._centre, which) - position)
+        gap = to_light - vectors_to(self._centre, which, position)
         length_x, length_y = (of(x, which) for x in self._length)
         a = dot(of(self._edge_x, which), gap) / (length_x * length_x)
         b = dot(of(self._edge_y, which), gap) / (length_y * length_y)

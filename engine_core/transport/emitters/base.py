@@ -5,7 +5,9 @@ A light has a *strength*, its radiance times its size (the area that faces a vie
 angle), which is finite for a light without size. A sample is a vector to a point of the light and a
 *measure*: what the strength must be multiplied with, besides the surface's cosine, to give irradiance;
 that is the light's own cosine, the change of variables to solid angle and one over pdf and size,
-together, so that nothing singular is ever formed. For MIS, `pdf` is the density of the same map per
+together, so that nothing singular is ever formed. A point in space has no normal (None): there
+strength times measure is fluence, the integral of radiance over all directions, and maps follow solid
+angle where they followed the cosine too. For MIS, `pdf` is the density of the same map per
 solid angle, and `hits` are the lights that a direction of other origin meets. All lengths are in the
 frame's units.
 """
@@ -55,11 +57,14 @@ class Emitters:
     radiance : (3, L) float32, inf-free; without meaning for a light without size.
     size : (L,) float64, 0 where a light has none.
     casts_shadow : (L,) bool.
+    centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; None for lights at infinity.
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
     is_background : what camera rays see of it is the background, which a transparent film leaves out.
     """
 
+    centre: np.ndarray | None = None
+    reach: np.ndarray | None = None
     at_infinity = False
     is_mesh = False
     is_point = False
@@ -87,18 +92,23 @@ class Emitters:
         return bool(self._visible)
 
     def sample(
-        self, which: np.ndarray | None, position: np.ndarray, normal: np.ndarray, w: np.ndarray, u: np.ndarray
+        self,
+        which: np.ndarray | None,
+        position: np.ndarray,
+        normal: np.ndarray | None,
+        w: np.ndarray,
+        u: np.ndarray,
     ) -> Sample:
         """Vectors to the light (3, M) and measures (M,).
 
         which : (M,) index into the group, None if it has but one light.
-        position, normal : (3, M) shaded points.
+        position, normal : (3, M) shaded points; normal None for points in space.
         w : (M,) and u : (2, M), uniform in (0, 1).
         """
         raise NotImplementedError
 
     def pdf(
-        self, which: np.ndarray | None, position: np.ndarray, normal: np.ndarray, to_light: np.ndarray
+        self, which: np.ndarray | None, position: np.ndarray, normal: np.ndarray | None, to_light: np.ndarray
     ) -> np.ndarray:
         """(M,) density per solid angle with which `sample` returns the direction of ``to_light``.
 
@@ -196,6 +206,14 @@ class Emitters:
 def of(table: np.ndarray, which: np.ndarray | None) -> np.ndarray:
     """Rows of a group's table (..., L) for each lane; a single light is broadcast."""
     return table if which is None else take(table, which)
+
+
+def vectors_to(table: np.ndarray, which: np.ndarray | None, position: np.ndarray) -> np.ndarray:
+    """(3, M) float32 vectors from ``position`` to rows of ``table`` (3, L).
+
+    Points of float64 keep their digits next to a light.
+    """
+    return (of(table, which) - position).astype(np.float32, copy=False)
 
 
 def area_to_solid_angle(square: np.ndarray, cosine_d: np.ndarray, area: np.ndarray) -> np.ndarray:

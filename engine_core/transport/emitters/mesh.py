@@ -10,7 +10,7 @@ import numpy as np
 from ...geometry.triangles import Triangles
 from ...geometry.vectors import dot, take
 from ...scene import Material
-from .base import Emitters, area_to_solid_angle
+from .base import Emitters, area_to_solid_angle, vectors_to
 from .spherical import SphericalTriangle
 
 # Triangles are near within this times their longest edge.
@@ -75,10 +75,11 @@ class MeshEmitters(Emitters):
             gap = np.linalg.norm(corner + offset - self._centre.T[light], axis=1)
             np.maximum.at(far, light, gap)
         self._reach = far.astype(np.float32)
+        self.centre, self.reach = self._centre.astype(np.float64), far
 
     def sample(self, which, position, normal, w, u):
         triangle = self._chosen(which, w)
-        corner = take(self._corner, triangle) - position
+        corner = vectors_to(self._corner, triangle, position)
         root = np.sqrt(u[0])
         b1, b2 = 1 - root, root * u[1]
         to_light = corner + b1 * take(self._a, triangle)
@@ -86,7 +87,7 @@ class MeshEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         measure = np.abs(dot(take(self._normal, triangle), to_light))
         measure /= square * np.sqrt(square)
-        near, seen = self._near(triangle, corner)
+        near, seen = self._near(triangle, corner, normal is None)
         if near.size:
             for out, values in zip(to_light, seen.sample(take(u, near)), strict=True):
                 out[near] = np.where(seen.usable, values, out[near])
@@ -94,10 +95,13 @@ class MeshEmitters(Emitters):
             measure[near] = np.where(seen.usable, by_angle, measure[near])
         return to_light, measure
 
-    def _near(self, triangle: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, SphericalTriangle | None]:
+    def _near(
+        self, triangle: np.ndarray, corner: np.ndarray, precise: bool
+    ) -> tuple[np.ndarray, SphericalTriangle | None]:
         """Lanes of ``triangle`` (M,) that are near enough for their solid angle, and these as seen.
 
-        corner : (3, M) vectors to the first corners.
+        corner : (3, M) vectors to the first corners. precise : for points in space, which come so near that a
+        triangle fills the half space.
         """
         near = np.flatnonzero(dot(corner, corner) < self._near_corner.take(triangle))
         if near.size == 0:
@@ -110,7 +114,8 @@ class MeshEmitters(Emitters):
             return nearer, None
         if nearer.size < near.size:
             near, corner, b, c = near.take(nearer), take(corner, nearer), take(b, nearer), take(c, nearer)
-        return near, SphericalTriangle(corner, b, c)
+        kind = np.float64 if precise else np.float32
+        return near, SphericalTriangle(*(x.astype(kind, copy=False) for x in (corner, b, c)))
 
     def _chosen(self, which: np.ndarray | None, w: np.ndarray) -> np.ndarray:
         """(M,) triangles, numbered light after light."""
@@ -136,7 +141,7 @@ class MeshEmitters(Emitters):
         return self.row.take(triangle), b1, b2
 
     def pdf_of_triangle(
-        self, triangle: np.ndarray, position: np.ndarray, normal: np.ndarray, to_light: np.ndarray
+        self, triangle: np.ndarray, position: np.ndarray, normal: np.ndarray | None, to_light: np.ndarray
     ) -> np.ndarray:
         """(M,) density per solid angle, given its light, of points on the scene's ``triangle`` (M,).
 
@@ -147,7 +152,7 @@ class MeshEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         cosine_d = np.abs(dot(take(self._normal, number), to_light))
         density = area_to_solid_angle(square, cosine_d, self._area.take(light, mode="clip"))
-        near, seen = self._near(number, take(self._corner, number) - position)
+        near, seen = self._near(number, vectors_to(self._corner, number, position), normal is None)
         if near.size:
             share = self._area_of.take(number.take(near)) / self._area.take(light.take(near))
             by_angle = share / np.maximum(seen.solid_angle, np.float32(1e-30))

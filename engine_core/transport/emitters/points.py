@@ -9,9 +9,15 @@ import numpy as np
 
 from ...geometry.frame import Frame
 from ...geometry.vectors import dot, take
-from ...geometry.warps import basis, cap, cosine_hemisphere, sin_sqr_to_one_minus_cos
+from ...geometry.warps import (
+    basis,
+    cap,
+    cosine_hemisphere,
+    sin_sqr_to_one_minus_cos,
+    uniform_sphere,
+)
 from ...scene import Light, PointLight, SpotLight
-from .base import FEW, Emitters, of
+from .base import FEW, Emitters, of, vectors_to
 from .bounds import Bounds
 
 
@@ -61,6 +67,7 @@ class _Points(Emitters):
         super().__init__(strength, size, [light.casts_shadow for light in lights])
         self._position = frame.positions([_position(light) for light in lights]).T.copy()
         self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
+        self.centre, self.reach = self._position.astype(np.float64), self._radius.astype(np.float64)
         self._any_size = bool((self._radius > 0).any())
         self._cone = Cone(lights)
         sized = [light.radius > 0 for light in lights]
@@ -107,7 +114,7 @@ class PointEmitters(_Points):
     is_point = True
 
     def sample(self, which, position, normal, w, u):
-        to_light = of(self._position, which) - position
+        to_light = vectors_to(self._position, which, position)
         measure = 1 / np.maximum(dot(to_light, to_light), np.float32(1e-30))
         return to_light, self._attenuate(measure, which, to_light)
 
@@ -119,7 +126,7 @@ class DiskEmitters(_Points):
     """
 
     def sample(self, which, position, normal, w, u):
-        centre = of(self._position, which) - position
+        centre = vectors_to(self._position, which, position)
         radius = of(self._radius, which)
         square = np.maximum(dot(centre, centre), np.float32(1e-30))
         whole = square + radius * radius
@@ -132,7 +139,7 @@ class DiskEmitters(_Points):
         return to_light, self._attenuate(2 / (whole * (2 - one_minus_cos)), which, to_light)
 
     def pdf(self, which, position, normal, to_light):
-        centre = of(self._position, which) - position
+        centre = vectors_to(self._position, which, position)
         square_radius = of(self._radius, which) ** 2
         sin_sqr = square_radius / (np.maximum(dot(centre, centre), np.float32(1e-30)) + square_radius)
         return _cone_pdf(sin_sqr_to_one_minus_cos(sin_sqr))
@@ -150,11 +157,12 @@ class DiskEmitters(_Points):
 class SphereEmitters(_Points):
     """Spheres, sampled by the cone that they fill. Measure: its solid angle over pi r^2.
 
-    That is 2 (1 - cos) / r^2 with sin = r / d. From inside a cosine-weighted direction, 1 / (r^2 cos).
+    That is 2 (1 - cos) / r^2 with sin = r / d. From inside a cosine-weighted direction, 1 / (r^2 cos), or, of
+    points in space, any direction, 4 / r^2.
     """
 
     def sample(self, which, position, normal, w, u):
-        centre = of(self._position, which) - position
+        centre = vectors_to(self._position, which, position)
         radius = of(self._radius, which)
         square = np.maximum(dot(centre, centre), np.float32(1e-30))
         inside = square <= radius * radius
@@ -171,7 +179,10 @@ class SphereEmitters(_Points):
         if inside.any():
             lanes = np.flatnonzero(np.broadcast_to(inside, reach.shape))
             r = np.broadcast_to(radius, reach.shape)[lanes]
-            d, out = cosine_hemisphere(normal[:, lanes], u[:, lanes])
+            if normal is None:
+                d, out = uniform_sphere(u[:, lanes])
+            else:
+                d, out = cosine_hemisphere(normal[:, lanes], u[:, lanes])
             along = dot(d, centre[:, lanes])
             direction[:, lanes] = d
             reach[lanes] = along + np.sqrt(np.maximum(r * r - square[lanes] + along * along, 0))
@@ -188,12 +199,14 @@ class SphereEmitters(_Points):
         return np.where(inside, self._column(self._brightness, which) / square, estimate)
 
     def pdf(self, which, position, normal, to_light):
-        centre = of(self._position, which) - position
+        centre = vectors_to(self._position, which, position)
         square_radius = of(self._radius, which) ** 2
         square = np.maximum(dot(centre, centre), np.float32(1e-30))
         pdf = _cone_pdf(sin_sqr_to_one_minus_cos(np.minimum(square_radius / square, 1)))
         inside = square <= square_radius
-        if inside.any():
+        if normal is None:
+            pdf = np.where(inside, np.float32(0.25 / np.pi), pdf)
+        elif inside.any():
             cosine = dot(normal, to_light) / np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-30)))
             pdf = np.where(inside, np.maximum(cosine, 0) * np.float32(1 / np.pi), pdf)
         return pdf

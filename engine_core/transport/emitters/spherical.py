@@ -16,7 +16,8 @@ class SphericalRectangle:
     """Rectangles as seen from the origin, and directions within them.
 
     Uniform ones by C. Urena, M. Fajardo, A. King, "An Area-Preserving Parametrization for Spherical
-    Rectangles", 2013; the unit square is warped before, bilinearly between the cosines at the corners.
+    Rectangles", 2013; for surfaces the unit square is warped before, bilinearly between the cosines at the
+    corners.
 
     usable : (M,) bool; false where the solid angle is too small for this, or the rectangle turns its back.
     solid_angle : (M,).
@@ -28,10 +29,10 @@ class SphericalRectangle:
         edge_x: np.ndarray,
         edge_y: np.ndarray,
         facing: np.ndarray,
-        normal: np.ndarray,
+        normal: np.ndarray | None,
     ) -> None:
         """Vectors (3, M) or (3, 1): to the centre, along the whole edges, the front's normal, and the normal
-        of the surface at the origin."""
+        of the surface at the origin, None for a point in space."""
         length_x, length_y = length(edge_x), length(edge_y)
         self._x, self._y, self._facing = edge_x / length_x, edge_y / length_y, facing
         z0 = dot(facing, centre)
@@ -47,7 +48,7 @@ class SphericalRectangle:
         self._n0, self._n2, self._g23 = n0, n2, g2 + g3
         self.solid_angle = np.maximum(g0 + g1 + g2 + g3, np.float32(1e-30))
         self.usable = (z0 < 0) & (self.solid_angle > np.float32(1e-3))
-        self._warp = Bilinear(*self._cosines(normal, squared))
+        self._warp = None if normal is None else Bilinear(*self._cosines(normal, squared))
 
     def _cosines(self, normal: np.ndarray, squared: np.ndarray) -> list[np.ndarray]:
         """(M,) at the four corners."""
@@ -61,7 +62,7 @@ class SphericalRectangle:
 
     def sample(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vectors (3, M) to points of the rectangles, for u (2, M), and densities per solid angle (M,)."""
-        (u0, u1), density = self._warp.sample(u)
+        (u0, u1), density = (u, np.float32(1)) if self._warp is None else self._warp.sample(u)
         height, n0 = self._height, self._n0
         squared = height * height
         phi = u0 * self.solid_angle - self._g23
@@ -80,6 +81,8 @@ class SphericalRectangle:
 
     def pdf(self, vector: np.ndarray) -> np.ndarray:
         """(M,) density of the direction of ``vector`` (3, M), to a point of the rectangle."""
+        if self._warp is None:
+            return 1 / self.solid_angle
         height = self._height
         scale = height / np.maximum(-dot(self._facing, vector), np.float32(1e-30))
         xu = np.clip(dot(self._x, vector) * scale, self._x0, self._x1)
@@ -111,7 +114,7 @@ class SphericalEllipse:
         edge_x: np.ndarray,
         edge_y: np.ndarray,
         facing: np.ndarray,
-        normal: np.ndarray,
+        normal: np.ndarray | None,
     ) -> None:
         """As for `SphericalRectangle`, in which the ellipses are inscribed; ``normal`` is not used."""
         half_x, half_y = 0.5 * length(edge_x), 0.5 * length(edge_y)
@@ -228,8 +231,9 @@ class SphericalTriangle:
     J. Arvo, "Stratified Sampling of Spherical Triangles", 1995, with the arithmetic of M. Pharr et al.,
     "Physically Based Rendering", 4th edition, section 6.5.4.
 
-    usable : (M,) bool; false where it is too small or too thin for this, or nearly fills the half space.
-    solid_angle : (M,) float32.
+    usable : (M,) bool; false where it is too small or too thin for this, or nearly fills the half space,
+        which it may do if the corners are float64.
+    solid_angle : (M,).
     """
 
     def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
@@ -245,7 +249,8 @@ class SphericalTriangle:
         # At corner a, between the planes through its edges.
         self._cos, self._sin = -dot(ab, ca) * scale, np.minimum(volume * scale, 1)
         self._a, self._b, self._c, self._angle = a, b, c, angle
-        self.usable = (angle > 0.03) & (angle < 6) & (norm > 1e-4) & (self._sin > 0.03)
+        most, least_norm, least_sin = (6, 1e-4, 0.03) if a.dtype == np.float32 else (6.28318, 1e-8, 1e-6)
+        self.usable = (angle > 0.03) & (angle < most) & (norm > least_norm) & (self._sin > least_sin)
         self.solid_angle = angle
 
     def sample(self, u: np.ndarray) -> np.ndarray:

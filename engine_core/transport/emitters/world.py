@@ -6,14 +6,17 @@ from __future__ import annotations
 import numpy as np
 
 from ...geometry.vectors import dot, length, take
-from ...geometry.warps import cosine_hemisphere
+from ...geometry.warps import cosine_hemisphere, uniform_sphere
 from ...scene import World
 from .base import Emitters, LightHits
 from .environment_map import LUMINANCE, EnvironmentMap
 
 
 class WorldEmitter(Emitters):
-    """Constant radiance from everywhere, by a cosine-weighted direction. Measure: pi / cos."""
+    """Constant radiance from everywhere, by a cosine-weighted direction. Measure: pi / cos.
+
+    From points in space by any direction, measure 4 pi.
+    """
 
     at_infinity = True
 
@@ -21,12 +24,17 @@ class WorldEmitter(Emitters):
         super().__init__(world.radiance[None], np.ones(1), [True])
 
     def sample(self, which, position, normal, w, u):
+        if normal is None:
+            direction, measure = uniform_sphere(u)
+            return direction, np.full(u.shape[1], measure)
         return cosine_hemisphere(normal, u)
 
     def irradiance(self, position, normal, which=None):
         return np.full((1, position.shape[1]), np.float32(np.pi) * self._brightness[0])
 
     def pdf(self, which, position, normal, to_light):
+        if normal is None:
+            return np.full(to_light.shape[1], np.float32(0.25 / np.pi))
         cosine = dot(normal, to_light) / length(to_light)
         return np.maximum(cosine, 0) * np.float32(1 / np.pi)
 
@@ -40,6 +48,7 @@ class ImageWorldEmitter(Emitters):
 
     A picture of little contrast is better served by the cosine, one with a sun by its luminance. The
     share of both is what has the least variance for surfaces of all orientations. ``u[0]`` tells which.
+    Points in space have no cosine: for them all directions follow the luminance.
     """
 
     at_infinity = True
@@ -54,6 +63,9 @@ class ImageWorldEmitter(Emitters):
         self._by_map = _share_of_map(self._map)
 
     def sample(self, which, position, normal, w, u):
+        if normal is None:
+            direction, density = self._map.sample(u)
+            return direction, 1 / np.maximum(density, np.float32(1e-37))
         by_map = u[0] < self._by_map
         chosen, others = np.flatnonzero(by_map), np.flatnonzero(~by_map)
         direction, density = np.empty((3, len(by_map)), np.float32), np.empty(len(by_map), np.float32)
@@ -68,7 +80,8 @@ class ImageWorldEmitter(Emitters):
         return direction, 1 / np.maximum(self._mixed(density, normal, direction), np.float32(1e-37))
 
     def pdf(self, which, position, normal, to_light):
-        return self._mixed(self._map.pdf(to_light), normal, to_light / length(to_light))
+        density = self._map.pdf(to_light)
+        return density if normal is None else self._mixed(density, normal, to_light / length(to_light))
 
     def _mixed(self, density: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
         if self._by_map == 1:

@@ -131,7 +131,8 @@ class ScreenPicture:
         density = neighbourly(leaves.density, leaves, tree.store.count)
         inside = np.zeros(len(leaves))
         if tree.store.spread is not None:
-            inside = tree.store.spread.take(leaves.nodes) @ weights
+            # Nodes tell it of a single point; a net of a few falls about so.
+            inside = tree.store.spread.take(leaves.nodes) @ weights * self._split**-0.75
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
@@ -148,13 +149,16 @@ class ScreenPicture:
         code = log[0] * 64 + log[1]
         for kind in np.unique(code):
             chosen = np.flatnonzero(code == kind)
-            along = [np.arange(1 << int(n)) for n in divmod(int(kind), 64)]
-            x, y = (self._start[d, chosen][:, None] + along[d] for d in range(2))
-            grid = coefficients[chosen].reshape(-1, 3, 3, CHANNELS)
-            means = np.einsum("yj,nijc->nyic", bin_means(len(along[1])), grid)
-            means = np.einsum("xi,nyic->nyxc", bin_means(len(along[0])), means)
-            self._mean[y[:, :, None], x[:, None, :]] = means
-            self._region[y[:, :, None], x[:, None, :]] = chosen[:, None, None]
+            edge = [1 << int(n) for n in divmod(int(kind), 64)]
+            x, y = (self._start[d].take(chosen) for d in range(2))
+            corner = y * width + x
+            inside = np.arange(edge[1])[:, None] * width + np.arange(edge[0])
+            at = inside.reshape(-1, 1) + corner
+            # One product: means over pixels, times the regions' node values.
+            each = np.einsum("xi,yj->yxij", *(bin_means(n) for n in edge)).reshape(-1, 9).astype(np.float32)
+            grid = self._coefficients.take(chosen, axis=0).transpose(1, 0, 2).reshape(9, -1)
+            self._mean.reshape(-1, CHANNELS)[at] = (each @ grid).reshape(*at.shape, CHANNELS)
+            self._region.reshape(-1)[at] = chosen
         if plain.size:
             is_plain = np.zeros(len(leaves) + 1, bool)
             is_plain[plain] = True

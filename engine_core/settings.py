@@ -10,6 +10,7 @@ from .scene.validation import set_integer, set_number
 
 INTEGRATORS = ("control_variates", "sobol", "monte_carlo", "quadrature", "cv_only")
 DIRECT_SAMPLING = ("mis", "light", "bsdf")
+DISTANCE_SAMPLING = ("auto", "equiangular", "free_path", "mis", "free_path_untruncated")
 MAX_SAMPLES = 1 << 20
 
 
@@ -33,6 +34,9 @@ class Settings:
     threads : worker threads, 0 for one a processor.
     direct_sampling : of surfaces that are not diffuse: "mis" (lights and BSDF sampled, combined by the
         power heuristic; where a surface is rough the lights alone), "light" or "bsdf" (one of them alone).
+    distance_sampling : where along a camera ray fog is sampled: "equiangular" (about the light), "free_path"
+        (as light gets out of the fog), "mis" (both, combined by the balance heuristic), "auto" (the best
+        that is known for each light), "free_path_untruncated" (the thesis' eq. 6.3-6.4, for study).
     transparent_bounces : how many transparent surfaces a ray may pass straight through.
     transparent : the background has alpha 0 and no radiance.
     normals : fill `Film.normal` too. standard_error : fill `Film.standard_error` too.
@@ -50,6 +54,7 @@ class Settings:
     time_limit: float = 0.0
     threads: int = 0
     direct_sampling: str = "mis"
+    distance_sampling: str = "auto"
     transparent_bounces: int = 8
     transparent: bool = False
     normals: bool = False
@@ -60,10 +65,13 @@ class Settings:
     def __post_init__(self) -> None:
         if self.integrator not in INTEGRATORS:
             raise SceneError(f"Settings: integrator is {self.integrator!r}, wanted one of {INTEGRATORS}")
-        if self.direct_sampling not in DIRECT_SAMPLING:
-            raise SceneError(
-                f"Settings: direct_sampling is {self.direct_sampling!r}, wanted one of {DIRECT_SAMPLING}"
-            )
+        for field, choices in (
+            ("direct_sampling", DIRECT_SAMPLING),
+            ("distance_sampling", DISTANCE_SAMPLING),
+        ):
+            value = getattr(self, field)
+            if value not in choices:
+                raise SceneError(f"Settings: {field} is {value!r}, wanted one of {choices}")
         for field, low, high in (
             ("transparent_bounces", 0, 1024),
             ("samples", 1, MAX_SAMPLES),

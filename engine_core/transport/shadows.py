@@ -44,6 +44,12 @@ class Shadows:
         origins, directions, reach = self._surfaces.shadow_rays(
             points, towards.at, towards.to_light, cosine, towards.at_infinity, towards.is_mesh
         )
+        return self.passing(origins, directions, reach)
+
+    def passing(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """The same of shadow rays (K, 3) of any origin; ``reach`` in lengths of the direction, or (K,)."""
         arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
         if not self._surfaces.any_transparent:
             return arrive, None, 0

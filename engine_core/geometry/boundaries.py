@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where rays are inside closed meshes, which may be nested, overlap or touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .raytracer import RayTracer
+
+MOST = 63
+"""Bodies: a bit of a set each."""
+
+FEW_PLANES = 24
+"""A convex body with no more is clipped against its planes, exactly; other bodies are ray traced."""
+
+_ULPS = 8 * 2.0**-24
+
+
+@dataclass(eq=False)
+class Spans:
+    """K stretches of rays inside a body: from ``start`` to ``end`` (K,) float64, in lengths of the direction.
+
+    ray : (K,) which of the rays. Those of one ray do not overlap. A span that begins at 0 or ends at the
+    ray's reach may go on there.
+    """
+
+    ray: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+
+
+class Boundaries:
+    """Closed meshes as bodies that rays enter and leave.
+
+    Only the sides of triangles decide what is inside: a body's first crossing tells whether the ray began
+    there. So no state is handed from ray to ray, and none can be wrong. A mesh turned inside out is taken
+    the other way round. What never ends, as the mesh is open, is inside to the ray's end.
+    """
+
+    def __init__(self, bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        """bodies : vertices (V, 3) float32 and triangles (T, 3) of each, at most `MOST`."""
+        self.bodies = [_body_of(vertices, triangles) for vertices, triangles in bodies]
+
+    def __len__(self) -> int:
+        return len(self.bodies)
+
+    def spans(
+        self, body: int, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, inside: np.ndarray | None
+    ) -> Spans:
+        """Where rays are inside one body, between 0 and their ``reach`` (N,).
+
+        origins, directions : (N, 3) float32, of any length.
+        inside : (N,) bool, which rays begin in an open body if they never cross it; None for none.
+        """
+        return self.bodies[body].spans(origins, directions, reach, inside)
+
+
+class _Convex:
+    """A closed convex body of few faces: rays are clipped against the planes of these."""
+
+    def __init__(self, normals: np.ndarray, offsets: np.ndarray) -> None:
+        """normals : (P, 3) float64, outwards. offsets : (P,) of the planes along them."""
+        self._normals, self._offsets = normals, offsets[:, None]
+
+    def spans(self, origins, directions, reach, inside) -> Spans:
+        along = self._normals @ directions.T
+        distance = self._offsets - self._normals @ origins.T
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            at = distance / along
+        # A ray along a plane is on one side of it for good.
+        at[along == 0] = np.inf
+        start = np.where(along < 0, at, 0).max(axis=0)
+        end = np.where(along > 0, at, np.inf).min(axis=0)
+        end[((along == 0) & (distance < 0)).any(axis=0)] = -1
+        np.maximum(start, 0, out=start)
+        np.minimum(end, reach, out=end)
+        ray = np.flatnonzero(end > start)
+        return Spans(ray, start.take(ray), end.take(ray))
+
+
+class _Traced:
+    """Any body: a tracer of its triangles, which rays that miss its bounding box never meet.
+
+    sign : -1 if its triangles face inwards. closed : whether every edge joins two triangles.
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, sign: int, closed: bool) -> None:
+        self._tracer = RayTracer(vertices, triangles)
+        self._sign, self._closed = np.float32(sign), closed
+        used = vertices[triangles.ravel()] if len(triangles) else np.zeros((1, 3), np.float32)
+        self._low, self._high = used.min(axis=0).astype(np.float64), used.max(axis=0).astype(np.float64)
+        self._size = max(-self._low.min(), self._high.max(), 0.0)
+
+    def spans(self, origins, directions, reach, inside) -> Spans:
+        whole, ray = reach, self._near(origins, directions, reach)
+        crossed = np.zeros(len(origins), bool)
+        origins, directions, reach = origins.take(ray, axis=0), directions.take(ray, axis=0), reach.take(ray)
+        # Off the surface just crossed, by what the arithmetic can be wrong by.
+        size = np.maximum(np.abs(origins).max(axis=1, initial=0), self._size)
+        offset = _ULPS * size / np.maximum(np.sqrt((directions**2).sum(axis=1)), np.float32(1e-37))
+        travelled, step = np.zeros((2, len(ray)))
+        entered = np.full(len(ray), np.nan)  # where the ray did so last; NaN outside
+        found = [Spans(np.zeros(0, np.intp), np.zeros(0), np.zeros(0))]
+
+        def add(which: np.ndarray, start: np.ndarray, end: np.ndarray | float) -> None:
+            start = start[which]
+            end = np.minimum(end, reach)[which]
+            some = end > start
+            found.append(Spans(ray[which][some], start[some], end[some]))
+
+        while ray.size:
+            start = (origins + directions * travelled[:, None]).astype(np.float32)
+            hits = self._tracer.closest_hit(start, directions)
+            met = hits.triangle >= 0
+            if not self._closed:
+                add(~met, entered, np.inf)
+            # A closed body that was entered and is never left was but touched.
+            ray, origins, directions, reach, offset, travelled, step, entered, distance, normal = (
+                x.compress(met, axis=0)
+                for x in (
+                    ray, origins, directions, reach, offset, travelled, step, entered, hits.distance, hits.normal
+                )
+            )  # fmt: skip
+            at = travelled + distance
+            first = ~crossed.take(ray)
+            crossed[ray] = True
+            entering = self._sign * (normal * directions).sum(axis=1) < 0
+            outside = np.isnan(entered)
+            add(~entering & first, np.zeros(len(ray)), at)
+            add(~entering & ~outside, entered, at)
+            entered = np.where(entering, np.where(outside, at, entered), np.nan)
+            beyond = at >= reach
+            add(beyond, entered, np.inf)
+            # Along an edge, or a triangle seen edge-on, hits may repeat: ever further then.
+            step = np.where(distance < 4 * step, 2 * step, offset)
+            travelled = at + step
+            on = ~beyond
+            ray, origins, directions, reach, offset, travelled, step, entered = (
+                x.compress(on, axis=0)
+                for x in (ray, origins, directions, reach, offset, travelled, step, entered)
+            )
+        if inside is not None and not self._closed:
+            never = np.flatnonzero(inside & ~crossed)
+            found.append(Spans(never, np.zeros(len(never)), whole.take(never)))
+        order = np.argsort(np.concatenate([spans.ray for spans in found]), kind="stable")
+        return Spans(
+            *(np.concatenate([getattr(x, name) for x in found]).take(order) for name in ("ray", "start", "end"))
+        )
+
+    def _near(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Rays that meet the bounding box within their reach."""
+        margin = _ULPS * np.maximum(np.abs(origins).max(initial=0), self._size)
+        near, far = np.zeros(len(origins)), reach
+        for i in range(3):
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                a = (self._low[i] - margin - origins[:, i]) / directions[:, i]
+                b = (self._high[i] + margin - origins[:, i]) / directions[:, i]
+            # Neither ignores NaN: a ray within the plane of a side meets it everywhere.
+            near, far = np.fmax(near, np.fmin(a, b)), np.fmin(far, np.fmax(a, b))
+        return np.flatnonzero(near <= far)
+
+
+def _body_of(vertices: np.ndarray, triangles: np.ndarray) -> _Convex | _Traced:
+    """The body that triangles enclose; those with a corner that is not finite are left out."""
+    vertices = np.ascontiguousarray(vertices, np.float32)
+    finite = np.isfinite(vertices).all(axis=1)
+    triangles = np.asarray(triangles)[finite[triangles].all(axis=1)]
+    used, compact = np.unique(triangles, return_inverse=True)
+    vertices, welded = np.unique(vertices[used], axis=0, return_inverse=True)
+    triangles = welded.reshape(-1)[compact.reshape(-1, 3)].astype(np.int32)
+    a, b, c = triangles.T
+    triangles = np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
+    closed = len(triangles) > 0 and _is_closed(triangles, len(vertices))
+    corners = vertices.astype(np.float64)
+    corners -= corners.mean(axis=0) if len(corners) else 0
+    a, b, c = (corners[triangles[:, k]] for k in range(3))
+    sign = -1 if (a * np.cross(b, c)).sum() < 0 else 1
+    planes = _planes_of(vertices.astype(np.float64), triangles, sign) if closed else None
+    return _Traced(vertices, triangles, sign, closed) if planes is None else _Convex(*planes)
+
+
+def _is_closed(triangles: np.ndarray, count: int) -> bool:
+    """Whether each edge is run through once in either direction."""
+    start, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel()
+    return np.array_equal(np.sort(start * count + end), np.sort(end * np.int64(count) + start))
+
+
+def _planes_of(
+    vertices: np.ndarray, triangles: np.ndarray, sign: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Normals (P, 3) and offsets (P,) of the faces of a convex body; None if it is none, or has many."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normals = sign * np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    tolerance = _ULPS * np.abs(vertices).max()
+    if not area.max() > 0:
+        return None
+    faces, offsets = [], []
+    rest = np.flatnonzero(area > 0)
+    while rest.size:
+        if len(faces) == FEW_PLANES:
+            return None
+        largest = rest[area[rest].argmax()]
+        normal = normals[largest] / area[largest]
+        height = vertices @ normal
+        offset = height[triangles[largest]].mean()
+        if height.max() > offset + tolerance:
+            return None
+        faces.append(normal)
+        offsets.append(height.max())
+        rest = rest[np.abs(height[triangles[rest]] - offset).max(axis=1) > tolerance]
+    return np.array(faces), np.array(offsets)

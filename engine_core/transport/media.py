@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The fogs of a scene: which of them a ray runs through, and what they leave of its light.
+
+Media are homogeneous within closed meshes, or everywhere, and add up where they overlap, as in Cycles.
+Where a ray is inside of what is a set of bits, one a body. Optical depth is linear in it: what only asks for
+the depth sums over bodies, and needs no order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+
+from ..errors import RenderError
+from ..geometry.boundaries import MOST, Boundaries
+from ..geometry.frame import Frame
+from ..scene import Scene, Volume
+from ..shading.terms import LARGEST
+
+DIRECT = 12
+"""Bodies, up to which a set of bits is the number of its mixture."""
+
+_SLIVER = 4e-7
+"""Of the distance: spans that are shorter are what rounding makes of coincident faces."""
+
+
+@dataclass(eq=False)
+class RayMedia:
+    """The media along N rays, in K segments of one mixture each, sorted by ray, then distance.
+
+    ray : (K,). start, end : (K,) float64 in the frame's unit lengths from the origin; ``end`` may be inf.
+    inside : (K,) uint64, bit b if in body b. mixture : (K,) row of the tables of `Media`.
+    depth : (C, K) float32 optical depth before the start.
+    total : (C, N) float32 optical depth to the ray's end, inf included. state : (N,) uint64, inside of what.
+    emission : (3, N) float32, the integral of transmittance times emission, or None if nothing glows.
+
+    Of the segments those that neither attenuate nor emit are left out; and slivers, though not from depths.
+    """
+
+    ray: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    inside: np.ndarray
+    mixture: np.ndarray
+    depth: np.ndarray
+    total: np.ndarray
+    state: np.ndarray
+    emission: np.ndarray | None
+
+
+class Media:
+    """All media of a scene, per unit length of the frame.
+
+    grey : whether all extinction is grey; optical depths have C = 1 channel then, else 3.
+    extinction : (C, R) of R mixtures. emission : (3, R). scattering : (G, 3, R) of phase functions whose
+    anisotropy is (G,). Rows are what `RayMedia.mixture` says.
+    emits : whether anything glows. bodies : how many closed meshes there are.
+    """
+
+    def __init__(
+        self, boundaries: Boundaries, volumes: list[Volume], everywhere: Volume | None, scale: float
+    ) -> None:
+        """volumes : of each body. everywhere : what fills all space."""
+        self._boundaries = boundaries
+        self.bodies = len(boundaries)
+        parts = [*volumes, Volume() if everywhere is None else everywhere]
+        self.anisotropy = np.unique([g for volume in parts for g in volume.anisotropy])
+        scattering = np.zeros((len(parts), len(self.anisotropy), 3))
+        for volume, rows in zip(parts, scattering, strict=True):
+            np.add.at(rows, np.searchsorted(self.anisotropy, volume.anisotropy), volume.scattering)
+        extinction = np.array([volume.extinction for volume in parts])
+        self.grey = bool((extinction == extinction[:, :1]).all())
+        extinction = extinction[:, :1] if self.grey else extinction
+        emission = np.array([volume.emission for volume in parts])
+        self.emits = bool(emission.any())
+        width = extinction.shape[1]
+        # Of each body (B + 1, C + 3 + 3 G), the world's last.
+        self._of_body = np.concatenate([extinction, emission, scattering.reshape(len(parts), -1)], axis=1) / scale
+        self._extinction = self._of_body[:, :width]
+        self._growing = Lock()
+        self._sets = np.arange(2**self.bodies if self.bodies <= DIRECT else 1, dtype=np.uint64)
+        self._row = {int(s): i for i, s in enumerate(self._sets)}
+        self._fill()
+
+    @staticmethod
+    def of(scene: Scene, frame: Frame) -> Media | None:
+        """The media of a scene; None if there are none that attenuate or emit."""
+
+        def volume_of(index: int) -> Volume | None:
+            volume = scene.volumes[index] if index >= 0 else None
+            return volume if volume and (volume.extinction.any() or volume.emission.any()) else None
+
+        meshes = [mesh for mesh in scene.meshes if len(mesh.triangles) and volume_of(mesh.volume)]
+        everywhere = volume_of(scene.world.volume)
+        if not meshes and everywhere is None:
+            return None
+        if len(meshes) > MOST:
+            raise RenderError(
+                f"{len(meshes)} meshes enclose a volume, more than {MOST}; join those that do not overlap"
+            )
+        boundaries = Boundaries([(frame.positions(mesh.vertices), mesh.triangles) for mesh in meshes])
+        return Media(boundaries, [volume_of(mesh.volume) for mesh in meshes], everywhere, frame.scale)
+
+    # -- tables ------------------------------------------------------------------------------------
+
+    def _fill(self) -> None:
+        bits = (self._sets[:, None] >> np.arange(self.bodies, dtype=np.uint64)) & np.uint64(1)
+        table = (bits.astype(np.float64) @ self._of_body[:-1] + self._of_body[-1]).T
+        width = self._extinction.shape[1]
+        scattering = table[width + 3 :].reshape(len(self.anisotropy), 3, -1)
+        # In one assignment, as other threads read it.
+        self._tables = table[:width], table[width : width + 3], scattering
+
+    @property
+    def extinction(self) -> np.ndarray:
+        return self._tables[0]
+
+    @property
+    def emission(self) -> np.ndarray:
+        return self._tables[1]
+
+    @property
+    def scattering(self) -> np.ndarray:
+        return self._tables[2]
+
+    def components(self, mixture: int) -> list[tuple[np.ndarray, float]]:
+        """Scattering coefficient (3,) and anisotropy of each phase function of a mixture, if it scatters."""
+        of_mixture = zip(self.scattering[:, :, mixture], self.anisotropy, strict=True)
+        return [(sigma, float(g)) for sigma, g in of_mixture if sigma.any()]
+
+    def mixture_of(self, inside: np.ndarray) -> np.ndarray:
+        """(K,) rows of the tables for sets of bits (K,)."""
+        if self.bodies <= DIRECT:
+            return inside.astype(np.intp)
+        sets, which = np.unique(inside, return_inverse=True)
+        with self._growing:
+            new = [s for s in sets if int(s) not in self._row]
+            if new:
+                self._row |= {int(s): len(self._sets) + i for i, s in enumerate(new)}
+                self._sets = np.append(self._sets, new)
+                self._fill()
+            rows = np.array([self._row[int(s)] for s in sets], np.intp)
+        return rows.take(which.reshape(-1))
+
+    # -- along rays --------------------------------------------------------------------------------
+
+    def optical_depth(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: float | np.ndarray,
+        inside: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(C, N) float32 optical depth of rays, inf where they run on in the world's medium for ever.
+
+        origins, directions : (N, 3) float32, of any length, in which ``reach`` is measured, a number or (N,).
+        inside : (N,) uint64, bits of open bodies in which rays begin that never cross them.
+        """
+        directions, reach = _broadcast(origins, directions, reach)
+        length = np.zeros((self.bodies + 1, len(origins)))
+        for body in range(self.bodies):
+            spans = self._boundaries.spans(body, origins, directions, reach, _bit(inside, body))
+            length[body] = np.bincount(spans.ray, spans.end - spans.start, len(origins))
+        length[-1] = reach
+        sigma = self._extinction
+        with np.errstate(over="ignore", invalid="ignore"):
+            length *= _norm(directions)
+            depth = np.zeros((sigma.shape[1], len(origins)))
+            for coefficients, lengths in zip(sigma, length, strict=True):
+                for out, coefficient in zip(depth, coefficients, strict=True):
+                    if coefficient > 0:
+                        out += coefficient * lengths
+            return depth.astype(np.float32)
+
+    def along(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        end: float | np.ndarray,
+        inside: np.ndarray | None = None,
+    ) -> RayMedia:
+        """What rays run through before their ``end``; arguments as in `optical_depth`."""
+        n = len(origins)
+        directions, end = _broadcast(origins, directions, end)
+        ray, at, bits = [np.arange(n)], [np.zeros(n)], [np.zeros(n, np.uint64)]
+        state = np.zeros(n, np.uint64)
+        for body in range(self.bodies):
+            spans = self._boundaries.spans(body, origins, directions, end, _bit(inside, body))
+            bit = np.uint64(1 << body)
+            ray += [spans.ray, spans.ray]
+            at += [spans.start, spans.end]
+            bits += [np.full(2 * len(spans.ray), bit)]
+            state[spans.ray[spans.end >= end.take(spans.ray)]] |= bit
+        ray, at, bits = np.concatenate(ray), np.concatenate(at), np.concatenate(bits)
+        if self.bodies:
+            order = np.lexsort((at, ray))
+            ray, at, bits = ray.take(order), at.take(order), bits.take(order)
+        # All spans end with their ray at the latest, so bits need no new beginning there.
+        inside = np.bitwise_xor.accumulate(bits) if len(bits) else bits
+        last = np.append(ray[1:] != ray[:-1], True) if n else np.zeros(0, bool)
+        until = np.where(last, end.take(ray), np.append(at[1:], 0)[: len(at)])
+        mixture = self.mixture_of(inside)
+        sigma, glow = self.extinction.take(mixture, axis=1), self.emission.take(mixture, axis=1)
+        filled = np.flatnonzero((sigma.any(axis=0) | glow.any(axis=0)) & (until > at))
+        ray, inside, mixture = ray.take(filled), inside.take(filled), mixture.take(filled)
+        sigma, glow = sigma.take(filled, axis=1), glow.take(filled, axis=1)
+        unit = _norm(directions).take(ray)
+        start, until = at.take(filled) * unit, until.take(filled) * unit
+        length = until - start
+        with np.errstate(invalid="ignore", over="ignore"):
+            own = np.where(sigma > 0, sigma * length, 0)
+        before = _sum_before(ray, own)
+        total = np.stack([np.bincount(ray, channel, n) for channel in own])
+        emission = None
+        if self.emits:
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                effective = np.where(sigma > 0, -np.expm1(-own) / sigma, length) * np.exp(-before)
+                light = np.where(glow > 0, np.minimum(glow * effective, LARGEST), 0)
+            emission = np.stack([np.bincount(ray, channel, n) for channel in light]).astype(np.float32)
+        some = np.flatnonzero(length > _SLIVER * start)
+        ray, start, until, inside, mixture = (x.take(some) for x in (ray, start, until, inside, mixture))
+        before = before.take(some, axis=1)
+        with np.errstate(over="ignore"):
+            before, total = before.astype(np.float32), total.astype(np.float32)
+        return RayMedia(ray, start, until, inside, mixture, before, total, state, emission)
+
+    def seen(
+        self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Transmittance (3, N) of rays to their ends, and what the media emit on the way (3, N), None for 0."""
+        if self.emits:
+            media = self.along(origins, directions, end)
+            return self.transmittance(media.total), media.emission
+        return self.transmittance(self.optical_depth(origins, directions, end)), None
+
+    @staticmethod
+    def transmittance(depth: np.ndarray) -> np.ndarray:
+        """(3, N) of optical depths (C, N)."""
+        return np.broadcast_to(np.exp(-depth), (3, depth.shape[1]))
+
+
+def _bit(inside: np.ndarray | None, body: int) -> np.ndarray | None:
+    return None if inside is None else (inside >> np.uint64(body)) & np.uint64(1) > 0
+
+
+def _broadcast(
+    origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (N, 3) and reach (N,) float64 of N rays."""
+    if len(directions) != len(origins):
+        directions = np.ascontiguousarray(np.broadcast_to(directions, origins.shape))
+    return directions, np.broadcast_to(np.asarray(reach, np.float64), len(origins))
+
+
+def _norm(directions: np.ndarray) -> np.ndarray:
+    """(N,) float64 lengths of (N, 3) directions."""
+    x, y, z = directions.T.astype(np.float64)
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _sum_before(ray: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(C, K) sums of ``values`` (C, K) of the same ray, which are side by side, before each."""
+    before = np.zeros_like(values)
+    rows = np.flatnonzero(ray[1:] == ray[:-1]) + 1
+    # One after another: a difference of running sums would lose what a thick fog elsewhere adds to.
+    while rows.size:
+        first = rows[np.append(True, rows[1:] != rows[:-1] + 1)] if rows.size else rows
+        before[:, first] = before[:, first - 1] + values[:, first - 1]
+        rows = rows[np.append(False, rows[1:] == rows[:-1] + 1)]
+    return before

@@ -129,7 +129,9 @@ class SphericalEllipse:
         xx, yy, xz, yz = hp * hp, hq * hq, -hp * xc, -hq * yc
         zz = xc * xc + yc * yc - 1
         least = -_negative_eigenvalue(xx, yy, xc * xc, yc * yc)
-        x, y = xz / (least - xx), yz / (least - yy)
+        # Edge-on all of this vanishes.
+        from_xx, from_yy = (np.maximum(v - least, np.float32(1e-28)) for v in (xx, yy))
+        x, y = -xz / from_xx, -yz / from_yy
         z = 1 / np.sqrt(1 + x * x + y * y)
         axis = np.stack([x * z, y * z, z])
         # The form across the axis, between two vectors perpendicular to it.
@@ -146,7 +148,7 @@ class SphericalEllipse:
         # The product of all eigenvalues is known better than the least of the three in size.
         small = xx * yy / np.maximum(-large * least, np.float32(1e-37))
         # A few ellipses, long and seen from beyond their ends, have no good eigenvalue yet.
-        residual = 1 + least * (1 + xc * xc / (xx - least) + yc * yc / (yy - least))
+        residual = 1 + least * (1 + xc * xc / from_xx + yc * yc / from_yy)
         usable = (self._height > 0) & (np.abs(residual) < 1e-5)
         a, b = (
             np.sqrt(np.where(usable, -least / np.maximum(v, np.float32(1e-37)), 1)) for v in (large, small)

@@ -65,7 +65,7 @@ class ImageWorldEmitter(Emitters):
     def sample(self, which, position, normal, w, u):
         if normal is None:
             direction, density = self._map.sample(u)
-            return direction, 1 / np.maximum(density, np.float32(1e-37))
+            return direction.astype(np.float32), 1 / np.maximum(density, np.float32(1e-37))
         by_map = u[0] < self._by_map
         chosen, others = np.flatnonzero(by_map), np.flatnonzero(~by_map)
         direction, density = np.empty((3, len(by_map)), np.float32), np.empty(len(by_map), np.float32)

@@ -224,6 +224,13 @@ class Surfaces:
         """(K,) bool: does a surface that lets nothing through lie in the way of shadow rays?"""
         return self._shadow_tracer.occluded(origins, directions, reach)
 
+    def blocked_at(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
+    ) -> np.ndarray:
+        """(K,) distances at which shadow rays meet what lets nothing through, inf where they do not."""
+        hits = self._shadow_tracer.closest_hit(origins, directions, reach)
+        return np.where(hits.triangle >= 0, hits.distance, np.inf)
+
     def _lift_terminator(
         self,
         points: SurfacePoints,

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..geometry.raytracer import FAR
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.vectors import take
 from ..shading.terms import LARGEST
@@ -82,3 +83,31 @@ class Shadows:
             origins = self._surfaces.beyond(points.take(on))
             ray, reach, directions = ray.take(on), (reach - distance).take(on), directions.take(on, axis=0)
         return part, rays
+
+    def met(
+        self, origin: np.ndarray, direction: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What one shadow ray (1, 3) meets: distances (J,), ascending, and what (3, J) is left behind each.
+
+        Nothing is left at the end of a ray that is blocked.
+        """
+        far = np.float32(min(reach, FAR))
+        end, distances, parts = self._surfaces.blocked_at(origin, direction, far)[0], [], []
+        if self._surfaces.any_transparent:
+            left, start = np.ones((3, 1), np.float32), 0.0
+            for _ in range(self._most):
+                limit = np.full(1, min(end, far) - start, np.float32)
+                points, distance = self._surfaces.next_transparent(origin, direction, limit)
+                if len(points) == 0:
+                    break
+                start += float(distance[0])
+                left = np.minimum(left * self._shader.transparency(points, -direction.T), LARGEST)
+                distances.append(start)
+                parts.append(left)
+                origin = self._surfaces.beyond(points)
+            else:
+                end = start
+        if np.isfinite(end):
+            distances.append(end)
+            parts.append(np.zeros((3, 1), np.float32))
+        return np.array(distances, np.float64), np.concatenate([np.zeros((3, 0)), *parts], axis=1)

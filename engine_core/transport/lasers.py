@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lasers: beams of parallel light, up to the first surface, and the fog that they run through.
+
+Docs: lasers.md. What is drawn of them are four parts, each an integral of its own:
+
+    laser_in_fog.py       fog scatters light out of the beam, and then to the camera (thesis eq. 6.10)
+    laser_on_surfaces.py  fog scatters light out of the beam onto surfaces
+    laser_seen.py         the beam itself, where fog scatters it to the camera; and the spot where it ends
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.frame import Frame
+from ..scene import Laser, Scene
+from . import phase
+from .media import Media
+from .shadows import Shadows
+
+MOST = 64
+"""Lasers of a scene."""
+
+DEEPEST = 40.0
+"""Optical depth at which a beam or a ray ends: what comes from beyond is less than 1e-17."""
+
+THINNEST = 1e-6
+"""Radius of a beam in the frame's units at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a beam in one mixture of media; lengths in the frame's units.
+
+    start : (3,) float64 where it begins. distance : from the laser. direction : (3,) float64, unit.
+    length : of the stretch. radius : of the beam.
+    power : (3,) flux that enters it, but for fog. depth : (C, 1) optical depth of the fog before it.
+    extinction : (C, 1). scattering : of each phase function, (3, 1) and g.
+    inside : bits of the bodies that it lies in, as in `RayMedia`. casts_shadow : of the light.
+    """
+
+    start: np.ndarray
+    distance: float
+    direction: np.ndarray
+    length: float
+    radius: float
+    power: np.ndarray
+    depth: np.ndarray
+    extinction: np.ndarray
+    scattering: list[tuple[np.ndarray, float]]
+    inside: np.uint64
+    casts_shadow: bool
+    laser: Laser
+
+    def transmittance(self, v: np.ndarray) -> np.ndarray:
+        """(C, N) of the beam's fog up to v (N,) from the stretch's beginning."""
+        return np.exp(-(self.depth + self.extinction * v))
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """A whole beam in the frame's units: where it starts, and how far its light gets at most.
+
+    power : (3,) flux. ends : (J,) distances of the surfaces that it meets, the last of which may block it.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    length: float
+    radius: float
+    power: np.ndarray
+    ends: np.ndarray
+    casts_shadow: bool
+    laser: Laser
+
+
+class Lasers:
+    """All lasers of a scene; shared by all threads.
+
+    beams : one a laser. stretches : of all beams, where there is fog that scatters.
+    messages : what is left out, a sentence each.
+    """
+
+    def __init__(self, beams: list[Beam], stretches: list[Stretch], messages: list[str]) -> None:
+        self.beams, self.stretches, self.messages = beams, stretches, messages
+
+    @staticmethod
+    def of(scene: Scene, frame: Frame, media: Media | None, shadows: Shadows) -> Lasers | None:
+        """The lasers of a scene; None if it has none that shines."""
+        lasers = [light for light in scene.lights if isinstance(light, Laser)]
+        lasers = [light for light in lasers if (light.power > 0).any() and not (light.power < 0).any()]
+        messages, beams, stretches = [], [], []
+        if len(lasers) > MOST:
+            messages.append(f"There are {len(lasers)} lasers; all but the {MOST} most powerful are left out.")
+            lasers.sort(key=lambda laser: -laser.power.sum())
+        for laser in lasers[:MOST]:
+            axis = -laser.light_to_world[:3, 2]
+            largest = np.abs(axis).max()
+            if not largest > 0:
+                messages.append(f'Laser "{laser.name}" has a scale of 0 along its axis; it is left out.')
+                continue
+            axis = axis / largest
+            beam, parts = _traced(laser, axis / np.linalg.norm(axis), frame, media, shadows)
+            beams.append(beam)
+            stretches += parts
+        return Lasers(beams, stretches, messages) if beams else None
+
+
+def _traced(
+    laser: Laser, direction: np.ndarray, frame: Frame, media: Media | None, shadows: Shadows
+) -> tuple[Beam, list[Stretch]]:
+    """A laser's beam up to the first surface that blocks it, and its stretches in fog that scatters."""
+    origin = (laser.light_to_world[:3, 3] - frame.origin) * frame.scale
+    power = laser.power * frame.scale**2
+    radius = max(laser.radius * frame.scale, THINNEST)
+    row, along = origin.astype(np.float32)[None], direction.astype(np.float32)[None]
+    length = laser.length * frame.scale
+    ends, left = np.zeros(0), np.ones((3, 1))
+    if laser.casts_shadow:
+        ends, part = shadows.met(row, along, length)
+        left = np.concatenate([left, part], axis=1)
+        if ends.size and not part[:, -1].any():
+            length = float(ends[-1])
+    beam = Beam(origin, direction, length, radius, power, ends, laser.casts_shadow, laser)
+    if media is None or not length > 0:
+        return beam, []
+    fog = media.along(row, along, length)
+    stretches = []
+    cuts = np.concatenate([[0.0], ends, [np.inf]])
+    for k in range(len(fog.ray)):
+        components = [(s[:, None], g) for s, g in media.components(int(fog.mixture[k]))]
+        extinction = media.extinction[:, fog.mixture[k], None]
+        # Where light of every colour that is scattered has gone.
+        attenuates = float(extinction.min() if extinction.min() > 0 else extinction.max())
+        for low, high, share in zip(cuts, cuts[1:], left.T, strict=False):
+            start, end = max(low, fog.start[k]), min(high, fog.end[k])
+            depth = fog.depth[:, k, None] + extinction * (start - fog.start[k])
+            end = min(end, start + max(DEEPEST - float(depth.min()), 0) / attenuates) if components else start
+            if end > start and share.any():
+                stretches.append(
+                    Stretch(
+                        origin + start * direction,
+                        start,
+                        direction,
+                        end - start,
+                        radius,
+                        power * share,
+                        depth,
+                        extinction,
+                        components,
+                        fog.inside[k],
+                        laser.casts_shadow,
+                        laser,
+                    )
+                )
+    return beam, stretches
+
+
+def scattered(
+    components: list[tuple[np.ndarray, float]], less: np.ndarray, more: np.ndarray
+) -> np.ndarray:
+    """(3, N) scattering coefficient times phase function, for half angles as in `phase.value`."""
+    return sum(sigma * phase.value(less, more, g) for sigma, g in components)

@@ -61,7 +61,9 @@ def _pose(scale: float) -> np.ndarray:
     return matrix
 
 
-def _sample(group: Emitters, point: np.ndarray, count: int = SAMPLES, seed: int = 4) -> tuple[np.ndarray, ...]:
+def _sample(
+    group: Emitters, point: np.ndarray, count: int = SAMPLES, seed: int = 4
+) -> tuple[np.ndarray, ...]:
     """Vectors (3, N), measures times the size (N,), and the u (3, N) that they are of."""
     u = (np.random.default_rng(seed).integers(0, 1 << 23, (3, count)) + 0.5) / (1 << 23)
     u = u.astype(np.float32)
@@ -340,7 +342,11 @@ def test_image_of_the_world_brings_its_mean_from_everywhere():
 
 
 def _scene_lights() -> SceneLights:
-    matrix = (Material(), Material(surface=Emission(1.0, OfSurface(lambda points: points.position[0] ** 2))), Material(0.0, (3.0, 2.0, 1.0)))
+    matrix = (
+        Material(),
+        Material(surface=Emission(1.0, OfSurface(lambda points: points.position[0] ** 2))),
+        Material(0.0, (3.0, 2.0, 1.0)),
+    )
     meshes = (floor(), box((2, 2, 2), (3, 3, 3), materials=1), box((-3, 2, 2), (-2, 3, 3), materials=2))
     triangles, _ = gather_triangles(meshes, FRAME)
     world = World(0.3, image=_image().image)

@@ -17,6 +17,7 @@ from ..scene import Scene
 from ..shading.terms import LARGEST
 from .camera_rays import CameraRays
 from .emitters import Emitters
+from .media import Media
 from .surface_shading import LobeGatherer, Slot, SurfaceShader
 
 RGB, ALPHA, NORMAL = slice(0, 3), 3, slice(4, 7)
@@ -58,6 +59,7 @@ class CameraHits:
     slots : lobes of the BSDFs at the points; None if all are Lambertian.
     first : (M + 1,) where the points of each of M rays begin; None if each of the M has but one.
     crossings : rays that went on behind transparent surfaces.
+    throughput : (3, P) what fog leaves of the light from the points; None for all. Slots have it already.
     """
 
     values: np.ndarray
@@ -67,6 +69,7 @@ class CameraHits:
     slots: list[Slot] | None = None
     first: np.ndarray | None = None
     crossings: int = 0
+    throughput: np.ndarray | None = None
 
     @property
     def lane(self) -> np.ndarray | None:
@@ -99,11 +102,13 @@ class CameraStage:
         transparent: bool,
         normals: bool,
         crossings: int,
+        media: Media | None = None,
     ) -> None:
         """transparent : the background has no radiance and alpha 0. normals : integrate them too.
 
-        crossings : how many transparent surfaces a ray may cross.
+        crossings : how many transparent surfaces a ray may cross. media : the fogs between them.
         """
+        self._media = media
         self.rays = CameraRays(scene.camera, frame)
         self.dimensions = self.rays.dimensions
         self._surfaces = surfaces
@@ -125,6 +130,7 @@ class CameraStage:
         used = np.unique(surfaces.triangles.material)
         self._emits = bool(self._emission[:, used].any())
         self.sees = self._emits or bool(shader.emits.any() or self._background.any()) or self._lights_seen
+        self.sees = self.sees or (media is not None and media.emits)
 
     def hit(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
@@ -170,8 +176,16 @@ class CameraStage:
             where = np.flatnonzero(held) if hit_all else lane[held]
             values[:, where] = 0
             points = points.take(np.flatnonzero(~held))
+        throughput = None
+        if self._media is not None:
+            passed, glow = self._media.seen(origins, directions, depth)
+            values[RGB] *= passed
+            values[ALPHA] = 1 - (1 - values[ALPHA]) * passed.mean(axis=0)
+            if glow is not None:
+                values[RGB] += glow
+            throughput = passed if points.lane is None else take(passed, points.lane)
         self._add_lights_seen(values[RGB], origins, directions, depth)
-        return CameraHits(values, points, depth, None)
+        return CameraHits(values, points, depth, None, throughput=throughput)
 
     def _held_out(self, points: SurfacePoints) -> np.ndarray | None:
         """(M,) bool, which of the points are on objects that are holdouts; None if none can be."""
@@ -184,12 +198,18 @@ class CameraStage:
         self, radiance: np.ndarray, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray
     ) -> None:
         """Add the lights that camera rays see before ``depth`` (N,) to ``radiance`` (3, N)."""
+        through = None
+        if self._media is not None:
+
+            def through(lane: np.ndarray, distance: np.ndarray | float) -> np.ndarray:
+                return self._media.seen(origins.take(lane, axis=0), self._of(directions, lane), distance)[0]
+
         for group in self._emitters:
             if group.is_background and self._clear_background:
                 continue
             # What is infinitely far is behind everything, but beyond no clipping plane.
             limit = depth if group.at_infinity else np.minimum(depth, np.float32(self.rays.reach))
-            seen = group.seen(origins, directions, limit)
+            seen = group.seen(origins, directions, limit, through)
             if seen is not None:
                 radiance += seen
 
@@ -207,6 +227,7 @@ class CameraStage:
         gatherer, found, count = LobeGatherer(), [], 0
         ray, throughput, start = np.arange(n), None, np.zeros(n, np.float32)
         here, crossings = origins, 0
+        fog = None if self._media is None else _FogBetween(self._media, origins, directions)
         for crossing in range(self._crossings + 1):
             last = crossing == self._crossings
             if crossing:
@@ -219,8 +240,15 @@ class CameraStage:
             self._add_between(radiance, origins, directions, ray, throughput, start, lane, distance)
             missed = np.ones(len(ray), bool)
             missed[lane] = False
-            self._add_background(radiance, alpha, ray[missed], _at(throughput, missed))
+            arriving = throughput
+            if fog is not None:
+                end = np.full(len(ray), np.inf, np.float32)
+                end[lane] = start.take(lane) + distance
+                arriving = fog.cross(radiance, alpha, ray, end, throughput)
+                fog.keep(lane)
+            self._add_background(radiance, alpha, ray[missed], _at(arriving, missed))
             ray, start, throughput = ray.take(lane), start.take(lane) + distance, _at(throughput, lane)
+            arriving = _at(arriving, lane)
             points.lane = ray
             found.append(points)
             if len(points) == 0:
@@ -232,7 +260,7 @@ class CameraStage:
             behind = []
             for rows, terms in self._shader.terms(points, viewer, self._wants_lobes):
                 rows = np.arange(len(ray)) if rows is None else rows
-                weight = _at(throughput, rows)
+                weight = _at(arriving, rows)
                 if held is not None and held.any():
                     kept = (~held[rows]).astype(np.float32)
                     weight = kept * np.ones((3, 1), np.float32) if weight is None else weight * kept
@@ -256,7 +284,7 @@ class CameraStage:
                 through[:, held] = 0
             np.clip(through, 0, None, out=through)
             shown = opaque - (0 if last else through)
-            alpha[ray] += (shown if throughput is None else throughput * shown).mean(axis=0)
+            alpha[ray] += (shown if arriving is None else arriving * shown).mean(axis=0)
             on = np.flatnonzero(through.any(axis=0))
             if on.size == 0 or last:
                 break
@@ -264,6 +292,8 @@ class CameraStage:
             np.minimum(throughput, LARGEST, out=throughput)
             here = self._surfaces.beyond(points.take(on))
             ray, start = ray.take(on), start.take(on)
+            if fog is not None:
+                fog.keep(on)
         np.clip(alpha, 0, 1, out=alpha)  # surfaces may let more light through than there is
         hits = self._gathered(values, depth, gatherer, found, count)
         hits.crossings = crossings
@@ -341,6 +371,42 @@ class CameraStage:
     @staticmethod
     def _of(directions: np.ndarray, ray: np.ndarray) -> np.ndarray:
         return directions if len(directions) == 1 else directions.take(ray, axis=0)
+
+
+class _FogBetween:
+    """Fog between the layers that camera rays see: of a ray's light at each, and of the ray as a whole."""
+
+    def __init__(self, media: Media, origins: np.ndarray, directions: np.ndarray) -> None:
+        self._media, self._origins, self._directions = media, origins, directions
+        self._passed = np.ones((3, len(origins)), np.float32)
+        self._glow = np.zeros((3, len(origins)), np.float32)
+
+    def cross(
+        self,
+        radiance: np.ndarray,
+        alpha: np.ndarray,
+        ray: np.ndarray,
+        end: np.ndarray,
+        throughput: np.ndarray | None,
+    ) -> np.ndarray:
+        """Takes rays (K,) on to ``end`` (K,): adds what glows on the way, and alpha of what is absorbed.
+
+        throughput : (3, K) of the layers alone, None for 1. Returns it with that of all fog before the end.
+        """
+        directions = CameraStage._of(self._directions, ray)
+        passed, glow = self._media.seen(self._origins.take(ray, axis=0), directions, end)
+        absorbed = self._passed - passed
+        alpha[ray] += (absorbed if throughput is None else absorbed * throughput).mean(axis=0)
+        if glow is not None:
+            more = glow - self._glow
+            radiance[:, ray] += more if throughput is None else more * throughput
+            self._glow = glow
+        self._passed = passed
+        return passed if throughput is None else passed * throughput
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Goes on with these of the rays."""
+        self._passed, self._glow = take(self._passed, rows), take(self._glow, rows)
 
 
 def _from_behind(lobe: DiffuseTransmission) -> Lambert:

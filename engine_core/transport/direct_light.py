@@ -42,6 +42,7 @@ from .light_choice import (
     clusters_of_cells,
 )
 from .light_samples import LightSamples, SceneLights
+from .media import Media
 from .shadows import Shadows
 from .surface_shading import Slot, SurfaceShader
 
@@ -95,6 +96,7 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size. channels, transparent, sees : as in `CameraStage`.
+    media : the fogs of the scene, None for none.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
@@ -114,7 +116,8 @@ class DirectLight:
         """
         times = [perf_counter()]
         frame = frame_of(scene)
-        triangles, self.messages = gather_triangles(scene.meshes, frame)
+        triangles, self.messages = gather_triangles([mesh for mesh in scene.meshes if mesh.surface], frame)
+        self.media = Media.of(scene, frame)
         times.append(perf_counter())
         shader = SurfaceShader(scene.materials, triangles, frame)
         transmits = shader.transmits
@@ -130,12 +133,12 @@ class DirectLight:
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
         self.chooses_triangle, self.only_points = self.lights.chooses_triangle, self.lights.only_points
         self._stage = CameraStage(
-            scene, frame, self._surfaces, shader, groups, transparent, normals, crossings
+            scene, frame, self._surfaces, shader, groups, transparent, normals, crossings, self.media
         )
         self.channels, self.transparent = self._stage.channels, self._stage.transparent
         self.sees = self._stage.sees
         self.lambertian = shader.lambertian
-        self._shadows = Shadows(self._surfaces, shader, crossings)
+        self._shadows = Shadows(self._surfaces, shader, crossings, self.media)
         self._weighed = WeighedLights(self.lights)
         self.sampling = sampling
         self.screen_dimensions = self._stage.dimensions
@@ -224,7 +227,7 @@ class DirectLight:
         """Light reflected at points ``at`` (K,), None for all in order; ``split`` samples in a row each."""
         samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split)
         if hits.slots is None:
-            return self._reflect_lambertian(hits.points, samples)
+            return self._reflect_lambertian(hits, samples)
         parts = [self._reflect(hits, samples)]
         if not self.only_points:
             at = np.arange(u.shape[1]) if at is None else at
@@ -237,7 +240,8 @@ class DirectLight:
         """Whether directions are sampled by the lobe, too."""
         return slot.sampled and self.sampling != "light"
 
-    def _reflect_lambertian(self, points: SurfacePoints, samples: LightSamples) -> Reflected:
+    def _reflect_lambertian(self, hits: CameraHits, samples: LightSamples) -> Reflected:
+        points = hits.points
         to_light = samples.to_light
         cosine = dot(take(points.normal, samples.at), to_light)
         cosine /= np.sqrt(np.maximum(dot(to_light, to_light), np.float32(1e-37)))
@@ -245,7 +249,7 @@ class DirectLight:
         lit, bad = _finite(weight)
         if lit.size < weight.size:
             samples, cosine, weight = samples.take(lit), cosine.take(lit), weight.take(lit)
-        arrive, _, counts = self._arriving(points, samples, cosine, SHADOW, bad)
+        arrive, passed, counts = self._arriving(points, samples, cosine, SHADOW, bad)
         at, weight = samples.at.take(arrive), weight.take(arrive)
         strength = self.lights.strength(points, samples, arrive)
         if self._one_material:
@@ -254,6 +258,10 @@ class DirectLight:
             material = self._surfaces.triangles.material.take(points.triangle.take(at))
             radiance = take(self._reflectance, material) * strength
             radiance *= weight
+        if passed is not None:
+            radiance *= passed
+        if hits.throughput is not None:
+            radiance *= take(hits.throughput, at)
         return Reflected(samples.which.take(arrive), radiance, counts)
 
     def _reflect(self, hits: CameraHits, samples: LightSamples) -> Reflected:

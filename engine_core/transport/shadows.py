@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a light arrives: nothing through opaque surfaces, a part through transparent ones."""
+"""What of a light arrives: nothing through opaque surfaces, a part through transparent ones and fog."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ..geometry.raytracer import FAR
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.vectors import take
 from ..shading.terms import LARGEST
+from .media import Media
 from .surface_shading import SurfaceShader
 
 
@@ -29,7 +30,10 @@ class Shadows:
     crossings : how many transparent surfaces a ray may cross; beyond, it is blocked.
     """
 
-    def __init__(self, surfaces: Surfaces, shader: SurfaceShader, crossings: int) -> None:
+    def __init__(
+        self, surfaces: Surfaces, shader: SurfaceShader, crossings: int, media: Media | None = None
+    ) -> None:
+        self._media = media
         self._surfaces = surfaces
         self._shader = shader
         self._most = crossings
@@ -52,10 +56,17 @@ class Shadows:
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
         """The same of shadow rays (K, 3) of any origin; ``reach`` in lengths of the direction, or (K,)."""
         arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
-        if not self._surfaces.any_transparent:
+        part, rays = None, 0
+        if self._surfaces.any_transparent:
+            reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
+            part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
+        if self._media is not None:
+            end = np.where(np.broadcast_to(towards.at_infinity, len(origins)).take(arrive), np.inf, 1)
+            depth = self._media.optical_depth(origins.take(arrive, axis=0), directions.take(arrive, axis=0), end)
+            passed = self._media.transmittance(depth)
+            part = passed if part is None else part * passed
+        if part is None:
             return arrive, None, 0
-        reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
-        part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
         some = np.flatnonzero(part.any(axis=0))
         return arrive.take(some), take(part, some), rays
 

@@ -14,7 +14,7 @@ frame's units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +58,8 @@ class Emitters:
     size : (L,) float64, 0 where a light has none.
     casts_shadow : (L,) bool.
     centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; None for lights at infinity.
+    axis, cos : (3, L) and (L,) float64, cones that hold what shines from any point of a light; cos is at least
+        0, or -1 for a light that shines to all sides. None where no light of the group has one.
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
     is_background : what camera rays see of it is the background, which a transparent film leaves out.
@@ -65,6 +67,8 @@ class Emitters:
 
     centre: np.ndarray | None = None
     reach: np.ndarray | None = None
+    axis: np.ndarray | None = None
+    cos: np.ndarray | None = None
     at_infinity = False
     is_mesh = False
     is_point = False
@@ -175,10 +179,17 @@ class Emitters:
         """
         raise NotImplementedError
 
-    def seen(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray | None:
+    def seen(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        distance: np.ndarray,
+        through: Callable[[np.ndarray, np.ndarray | float], np.ndarray] | None = None,
+    ) -> np.ndarray | None:
         """(3, N) radiance of lights that camera rays see before ``distance`` (N,), None if there are none.
 
         origins : (N, 3). directions : (N, 3) or (1, 3), of any length, in which ``distance`` is measured.
+        through : which (K,) of the rays and the distances (K,) of lights -> what fog leaves of them (3, K).
         """
         if not self._visible:
             return None
@@ -193,6 +204,9 @@ class Emitters:
             colour = take(self.radiance, hits.light.take(near))
             if hits.gain is not None:
                 colour *= hits.gain.take(near, axis=-1)
+            if through is not None:
+                lengths = np.broadcast_to(scale, limit.shape).take(lane)
+                colour *= through(lane, np.inf if self.at_infinity else far.take(near) / lengths)
             for channel, out in zip(colour, total, strict=True):
                 # Of one ray there may be several.
                 out += np.bincount(lane, channel, minlength=len(out)).astype(np.float32)

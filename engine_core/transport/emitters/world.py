@@ -101,13 +101,14 @@ class ImageWorldEmitter(Emitters):
     def irradiance(self, position, normal, which=None):
         return np.full((1, position.shape[1]), np.float32(np.pi) * self._brightness[0])
 
-    def seen(self, origins, directions, distance):
+    def seen(self, origins, directions, distance, through=None):
         open_sky = np.flatnonzero(np.isinf(distance))
         if not self._visible or not open_sky.size:
             return None
         total = np.zeros((3, len(distance)), np.float32)
         some = np.broadcast_to(directions, (len(distance), 3)).take(open_sky, axis=0)
-        total[:, open_sky] = self._map.radiance(some.T)
+        radiance = self._map.radiance(some.T)
+        total[:, open_sky] = radiance if through is None else radiance * through(open_sky, np.inf)
         return total
 
 

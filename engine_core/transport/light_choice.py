@@ -419,7 +419,17 @@ def clusters_of_cells(
     position, normal : (3, K, P) float32, P pilots a cell. found : (K, P) bool, which of them hit.
     between : called now and then; may raise, to give up.
     """
-    position, normal, weight = _with_missed(position, normal, found)
+    return weighed_clusters(lights, *_with_missed(position, normal, found), between)
+
+
+def weighed_clusters(
+    lights: Lights,
+    position: np.ndarray,
+    normal: np.ndarray,
+    weight: np.ndarray,
+    between: Callable[[], None] = lambda: None,
+) -> list[Clusters]:
+    """The clusters of lights in K cells, from pilots (3, K, P) of some weight (K, P) each."""
     cells, pilots = weight.shape
     step = max(1, 8 * _CHUNK // (len(lights) * pilots))
     result = []
@@ -428,7 +438,7 @@ def clusters_of_cells(
     for start in range(0, cells, step):
         between()
         part = slice(start, start + step)
-        where = (position[:, part].reshape(3, -1), normal[:, part].reshape(3, -1))
+        where = (x[:, part].reshape(len(x), -1) for x in (position, normal))
         estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots)
         result += _clusters(np.ascontiguousarray(estimate.swapaxes(0, 1)), weight[part])
     return result

@@ -96,6 +96,8 @@ class AreaEmitters(Emitters):
         )
         self._sized = np.arange(len(lights))
         self.centre = self._centre.astype(np.float64)
+        self.axis = np.array([row[1] for row in rows]).T
+        self.cos = np.array([1 / np.hypot(1, row[3]) for row in rows])
         # What a rectangle's corners need is enough for the ellipse within.
         self.reach = 0.5 * np.maximum(length(x + y), length(x - y))
         if len(lights) > FEW:

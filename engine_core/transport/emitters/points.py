@@ -32,6 +32,7 @@ class Cone:
         self._inverse = np.zeros((3, 3, len(lights)), np.float32)
         self._cos = np.full(len(lights), -2.0, np.float32)
         self._sharpness = np.full(len(lights), 1e12, np.float32)
+        self.axis, self.cos = np.zeros((3, len(lights))), np.full(len(lights), -1.0)
         for i, light in enumerate(lights):
             if spots[i]:
                 matrix = light.light_to_world[:3, :3]
@@ -41,6 +42,7 @@ class Cone:
                 cos = np.cos(light.angle / 2)
                 self._cos[i] = cos
                 self._sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
+                self.axis[:, i], self.cos[i] = _round_cone(matrix / np.abs(matrix).max(), light.angle / 2)
 
     def attenuation(self, which: np.ndarray | None, to_light: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """(M,) in [0, 1]: smoothstep of the cosine to the axis, in the light's own (scaled) space.
@@ -70,6 +72,8 @@ class _Points(Emitters):
         self.centre, self.reach = self._position.astype(np.float64), self._radius.astype(np.float64)
         self._any_size = bool((self._radius > 0).any())
         self._cone = Cone(lights)
+        if self._cone.any:
+            self.axis, self.cos = self._cone.axis, self._cone.cos
         sized = [light.radius > 0 for light in lights]
         self._sized = np.flatnonzero(sized)
         if self._sized.size > FEW:
@@ -234,6 +238,20 @@ class SphereEmitters(_Points):
 
 def _position(light: PointLight | SpotLight) -> np.ndarray:
     return light.light_to_world[:3, 3] if isinstance(light, SpotLight) else light.position
+
+
+def _round_cone(matrix: np.ndarray, half: float) -> tuple[np.ndarray, float]:
+    """Axis and cosine of a cone that holds the one of angle ``half`` about -Z, seen through ``matrix``."""
+    turn = np.linspace(0, 2 * np.pi, 64)
+    rim = matrix @ np.stack(
+        [np.sin(half) * np.cos(turn), np.sin(half) * np.sin(turn), 0 * turn - np.cos(half)]
+    )
+    axis = -matrix[:, 2] / np.linalg.norm(matrix[:, 2])
+    angle = np.arccos(np.clip(axis @ rim / np.linalg.norm(rim, axis=0), -1, 1)).max()
+    if angle > np.pi / 2 + 1e-6:
+        return axis, -1.0
+    # A little more, for what lies between two points of the rim.
+    return axis, max(np.cos(1.005 * angle), 0.0)
 
 
 def _cone_pdf(one_minus_cos: np.ndarray) -> np.ndarray:

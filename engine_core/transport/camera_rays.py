@@ -63,6 +63,19 @@ class CameraRays:
         points += (self._forward * self.clip_start).astype(np.float32)
         return points, self._forward.astype(np.float32)[None]
 
+    def image_of(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where positions (3, L) are in the picture: (2, L) float64 in pixels of the whole frame, and their
+        depth (L,) along the view axis; without meaning where that is not above 0.
+        """
+        positions = np.asarray(positions, np.float64)
+        depth = self._forward @ positions
+        if self._perspective:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                positions = positions / depth - self._forward[:, None]
+        offset = positions - self._corner[:, None]
+        steps = np.stack([self._step_x, self._step_y])
+        return steps @ offset / np.square(steps).sum(axis=1)[:, None], depth
+
     def _through_lens(self, points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rays from points of the lens to where rays ``points`` (N, 3) through its middle are in focus."""
         radius, blades, rotation = self._lens

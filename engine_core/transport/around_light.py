@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels about a light that the camera sees through fog, in polar coordinates about its image.
+
+Near a light fog is as bright as 1 / D, D the distance of the light from the camera ray: integrable over a
+pixel, and nothing that samples of equal density, or polynomials, would serve. With an angle phi and the
+distance rho from the light's image, dx dy = rho drho dphi, and rho takes that away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..integration.integrand import StagedIntegrand
+from .camera_hits import Pixels
+
+HALF_WIDTH = 6
+"""Of the block about a light's image, in pixels."""
+
+CORE = 2
+"""Half the width of what is close to it."""
+
+CORE_SAMPLES, OTHER_SAMPLES = 2048, 128
+"""Of each pixel at most; fewer of a picture of fewer samples."""
+
+
+@dataclass(eq=False)
+class _Weighted:
+    """A first stage, and the weight of each of its points."""
+
+    stage: Any
+    weight: np.ndarray
+
+    @property
+    def values(self) -> np.ndarray | None:
+        return self.stage.values
+
+    @property
+    def lane(self) -> np.ndarray | None:
+        return self.stage.lane
+
+
+class AroundLight:
+    """An integrand over pixels, whose points are spread in polar coordinates about a place of the picture."""
+
+    def __init__(self, integrand: StagedIntegrand, centre: np.ndarray) -> None:
+        """centre : (2,) float64, in pixels of the whole frame."""
+        self._integrand = integrand
+        self._centre = centre
+        self.rest_dimensions, self.staged = integrand.rest_dimensions, integrand.staged
+
+    @property
+    def counts(self):
+        return self._integrand.counts
+
+    def first(self, pixels: Pixels, u: np.ndarray) -> _Weighted:
+        place, weight = polar(pixels.x - self._centre[0], pixels.y - self._centre[1], u)
+        return _Weighted(self._integrand.first(pixels, place), weight.ravel())
+
+    def rest(
+        self, stage: _Weighted, lane: np.ndarray | None, u: np.ndarray
+    ) -> tuple[np.ndarray | None, np.ndarray]:
+        which, values = self._integrand.rest(stage.stage, lane, u)
+        weight = stage.weight if stage.lane is None else stage.weight.take(stage.lane)
+        if lane is None:
+            weight = np.repeat(weight, u.shape[2])
+        else:
+            weight = weight.take(lane)
+        return which, values * (weight if which is None else weight.take(which))
+
+
+def polar(x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of pixels whose corners are at (x, y) (B,), from the centre: in their unit squares, (2, B, S)
+    float32, and weights (B, S); u (2, B, S) uniform.
+    """
+    x, y = (np.asarray(a, np.float64)[:, None] for a in (x, y))
+    inside = (x <= 0) & (x + 1 >= 0) & (y <= 0) & (y + 1 >= 0)
+    towards = np.arctan2(y + 0.5, x + 0.5)
+    corners = np.stack([np.arctan2(y + j, x + i) for i in (0, 1) for j in (0, 1)])
+    turned = np.remainder(corners - towards + np.pi, 2 * np.pi) - np.pi
+    low, high = np.where(inside, -np.pi, turned.min(axis=0)), np.where(inside, np.pi, turned.max(axis=0))
+    angle = towards + low + u[0] * (high - low)
+    cos, sin = np.cos(angle), np.sin(angle)
+    entry, leave = np.zeros_like(angle), np.full_like(angle, np.inf)
+    for corner, slope in ((x, cos), (y, sin)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = corner / slope, (corner + 1) / slope
+        parallel = slope == 0
+        near = np.where(parallel, -np.inf, np.minimum(first, second))
+        far = np.where(parallel, np.inf, np.maximum(first, second))
+        np.maximum(entry, near, out=entry)
+        np.minimum(leave, far, out=leave)
+    length = np.maximum(leave - entry, 0)
+    radius = entry + u[1] * length
+    place = np.stack([radius * cos - x, radius * sin - y])
+    place = np.clip(place, 2.0**-24, 1 - 2.0**-24).astype(np.float32)
+    # The distance of the point that is meant by its rounded coordinates.
+    radius = np.hypot(place[0] + x, place[1] + y)
+    return place, radius * length * (high - low)

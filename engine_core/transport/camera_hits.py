@@ -13,7 +13,7 @@ from ..geometry.frame import Frame
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.vectors import take
 from ..integration.sobol import hash_combine
-from ..scene import Scene
+from ..scene import Laser, Scene
 from ..shading.terms import LARGEST
 from .camera_rays import CameraRays
 from .emitters import Emitters
@@ -121,7 +121,8 @@ class CameraStage:
         self.channels = 7 if normals else 4
         self._normals = normals
         self._lights_seen = any(group.any_visible for group in emitters)
-        self._wants_lobes = len(emitters) > 0
+        lasers = any(isinstance(light, Laser) for light in scene.lights)
+        self._wants_lobes = len(emitters) > 0 or lasers
         self._background = np.zeros(3, np.float32)
         if scene.world.visible_to_camera and not transparent:
             self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)

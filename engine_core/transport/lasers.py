@@ -163,3 +163,8 @@ def scattered(
 ) -> np.ndarray:
     """(3, N) scattering coefficient times phase function, for half angles as in `phase.value`."""
     return sum(sigma * phase.value(less, more, g) for sigma, g in components)
+
+
+def halves(cos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `phase.value` wants of a cosine."""
+    return np.maximum(0.5 - 0.5 * cos, 0), np.maximum(0.5 + 0.5 * cos, 0)

@@ -47,6 +47,11 @@ class Boundaries:
     def __len__(self) -> int:
         return len(self.bodies)
 
+    @property
+    def convex(self) -> bool:
+        """Whether all bodies are known to be convex."""
+        return all(isinstance(body, _Convex) for body in self.bodies)
+
     def spans(
         self, body: int, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, inside: np.ndarray | None
     ) -> Spans:

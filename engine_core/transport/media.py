@@ -56,7 +56,8 @@ class Media:
     grey : whether all extinction is grey; optical depths have C = 1 channel then, else 3.
     extinction : (C, R) of R mixtures. emission : (3, R). scattering : (G, 3, R) of phase functions whose
     anisotropy is (G,). Rows are what `RayMedia.mixture` says.
-    emits : whether anything glows. bodies : how many closed meshes there are.
+    emits : whether anything glows. bodies : how many closed meshes there are. convex : whether all of them
+    are, so that between two points inside there is nothing to cross.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class Media:
     ) -> None:
         """volumes : of each body. everywhere : what fills all space."""
         self._boundaries = boundaries
-        self.bodies = len(boundaries)
+        self.bodies, self.convex = len(boundaries), boundaries.convex
         parts = [*volumes, Volume() if everywhere is None else everywhere]
         self.anisotropy = np.unique([g for volume in parts for g in volume.anisotropy])
         scattering = np.zeros((len(parts), len(self.anisotropy), 3))

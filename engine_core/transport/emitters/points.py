@@ -22,26 +22,30 @@ from .bounds import Bounds
 
 
 class Cone:
-    """The attenuation of spot lights; a point light is a spot open on all sides."""
+    """The attenuation of spot lights; a point light is a spot open on all sides.
+
+    inverse : (3, 3, L) float32, rows of the maps to the lights' own spaces, whose +Z a spot shines against.
+    cos, sharpness : (L,) float32 of half the cone's angle, and 1 over the width of its edge in cosines.
+    """
 
     def __init__(self, lights: Sequence[Light]) -> None:
         spots = [isinstance(light, SpotLight) for light in lights]
         self.any = any(spots)
         if not self.any:
             return
-        self._inverse = np.zeros((3, 3, len(lights)), np.float32)
-        self._cos = np.full(len(lights), -2.0, np.float32)
-        self._sharpness = np.full(len(lights), 1e12, np.float32)
+        self.inverse = np.zeros((3, 3, len(lights)), np.float32)
+        self.cos = np.full(len(lights), -2.0, np.float32)
+        self.sharpness = np.full(len(lights), 1e12, np.float32)
         self.axis, self.cos = np.zeros((3, len(lights))), np.full(len(lights), -1.0)
         for i, light in enumerate(lights):
             if spots[i]:
                 matrix = light.light_to_world[:3, :3]
                 # A scale common to all axes changes no direction, but would underflow.
                 inverse = np.linalg.inv(matrix / np.abs(matrix).max())
-                self._inverse[:, :, i] = inverse / np.abs(inverse).max()
+                self.inverse[:, :, i] = inverse / np.abs(inverse).max()
                 cos = np.cos(light.angle / 2)
-                self._cos[i] = cos
-                self._sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
+                self.cos[i] = cos
+                self.sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
                 self.axis[:, i], self.cos[i] = _round_cone(matrix / np.abs(matrix).max(), light.angle / 2)
 
     def attenuation(self, which: np.ndarray | None, to_light: np.ndarray, slack: float = 0.0) -> np.ndarray:
@@ -49,16 +53,16 @@ class Cone:
 
         slack : added to the cosine; makes an estimate generous.
         """
-        inverse = of(self._inverse, which)
+        inverse = of(self.inverse, which)
         x, y, z = (dot(inverse[i], to_light) for i in range(3))
         # to_light points at the light: along its +Z for what the spot faces.
         cosine = z / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-30))
-        t = np.clip((cosine + slack - of(self._cos, which)) * of(self._sharpness, which), 0, 1)
+        t = np.clip((cosine + slack - of(self.cos, which)) * of(self.sharpness, which), 0, 1)
         return t * t * (3 - 2 * t)
 
 
 class _Points(Emitters):
-    """Point and spot lights: position, radius and cone."""
+    """Point and spot lights: position, radius and ``cone``."""
 
     def __init__(self, lights: Sequence[PointLight | SpotLight], frame: Frame) -> None:
         radius = np.array([light.radius for light in lights])
@@ -71,9 +75,9 @@ class _Points(Emitters):
         self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
         self.centre, self.reach = self._position.astype(np.float64), self._radius.astype(np.float64)
         self._any_size = bool((self._radius > 0).any())
-        self._cone = Cone(lights)
-        if self._cone.any:
-            self.axis, self.cos = self._cone.axis, self._cone.cos
+        self.cone = Cone(lights)
+        if self.cone.any:
+            self.axis, self.cos = self.cone.axis, self.cone.cos
         sized = [light.radius > 0 for light in lights]
         self._sized = np.flatnonzero(sized)
         if self._sized.size > FEW:
@@ -82,10 +86,10 @@ class _Points(Emitters):
         self._visible = [i for i, light in enumerate(lights) if light.visible_to_camera and sized[i]]
 
     def _attenuate(self, measure: np.ndarray, which: np.ndarray | None, to_light: np.ndarray) -> np.ndarray:
-        return measure * self._cone.attenuation(which, to_light) if self._cone.any else measure
+        return measure * self.cone.attenuation(which, to_light) if self.cone.any else measure
 
     def _gain(self, light, position, directions):
-        return self._cone.attenuation(light, directions) if self._cone.any else None
+        return self.cone.attenuation(light, directions) if self.cone.any else None
 
     def irradiance(self, position, normal, which=None):
         to_light = self._column(self._position, which) - position[:, None, :]
@@ -104,10 +108,10 @@ class _Points(Emitters):
         estimate = np.clip(cosine, 0, 1, out=cosine)
         estimate *= self._column(self._brightness, which)
         estimate /= square
-        if self._cone.any:
+        if self.cone.any:
             light = np.arange(len(self)) if which is None else which
             light = np.broadcast_to(light[:, None], square.shape)
-            cone = self._cone.attenuation(light, to_light, size + np.float32(1e-3))
+            cone = self.cone.attenuation(light, to_light, size + np.float32(1e-3))
             estimate *= np.where(cone > 0, np.maximum(cone, np.float32(1e-3)), 0)
         return estimate
 

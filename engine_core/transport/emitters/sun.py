@@ -14,7 +14,10 @@ from .base import Emitters, of
 
 
 class SunEmitters(Emitters):
-    """Suns, sampled by their cone. Measure: 1."""
+    """Suns, sampled by their cone. Measure: 1.
+
+    axis : (3, L) float32, unit, towards them.
+    """
 
     at_infinity = True
 
@@ -26,10 +29,10 @@ class SunEmitters(Emitters):
             # Solid angle over pi sin^2, without the quotient of two that vanish.
             row *= 2 / (1 + np.cos(angle)) if light.normalize else solid_angle if angle > 0 else 1
         super().__init__(strength, size, [light.casts_shadow for light in lights])
-        self._axis = np.array([-light.direction for light in lights], np.float32).T.copy()
+        self.axis = np.array([-light.direction for light in lights], np.float32).T.copy()
         self._one_minus_cos = (2 * np.sin(half / 2) ** 2).astype(np.float32)
         self._sin = np.sin(half).astype(np.float32)
-        self._frames = basis(self._axis)
+        self._frames = basis(self.axis)
         self._any_size = bool((half > 0).any())
         self.is_point = not self._any_size
         self._sized = np.flatnonzero(half > 0)
@@ -37,7 +40,7 @@ class SunEmitters(Emitters):
 
     def sample(self, which, position, normal, w, u):
         m = position.shape[1]
-        axis = of(self._axis, which)
+        axis = of(self.axis, which)
         measure = np.ones(m, np.float32)
         if not self._any_size:
             return np.broadcast_to(axis, (3, m)), measure
@@ -46,7 +49,7 @@ class SunEmitters(Emitters):
         return x * s + y * t + (1 - below) * axis, measure
 
     def irradiance(self, position, normal, which=None):
-        cosine = dot(self._column(self._axis, which), normal[:, None, :])
+        cosine = dot(self._column(self.axis, which), normal[:, None, :])
         size = self._column(self._sin, which)
         return self._column(self._brightness, which) * np.clip((cosine + size) / (1 + size), 0, 1)
 
@@ -57,7 +60,7 @@ class SunEmitters(Emitters):
         return np.broadcast_to(density, position.shape[1])
 
     def _meet(self, light, position, directions):
-        gap = directions - take(self._axis, light)
+        gap = directions - take(self.axis, light)
         # |unit - axis|^2 = 2 (1 - cos) keeps its digits for the half degree of a real sun.
         met = dot(gap, gap) <= 2 * self._one_minus_cos.take(light)
         return np.ones(met.shape, np.float32), met

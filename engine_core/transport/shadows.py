@@ -28,6 +28,7 @@ class Shadows:
     """Shadow rays through a scene.
 
     crossings : how many transparent surfaces a ray may cross; beyond, it is blocked.
+    media : the fogs that light arrives through, too; None for none.
     """
 
     def __init__(
@@ -49,24 +50,25 @@ class Shadows:
         origins, directions, reach = self._surfaces.shadow_rays(
             points, towards.at, towards.to_light, cosine, towards.at_infinity, towards.is_mesh
         )
-        return self.passing(origins, directions, reach)
+        arrive, part, rays = self.passing(origins, directions, reach)
+        if self._media is None:
+            return arrive, part, rays
+        end = np.where(np.broadcast_to(towards.at_infinity, len(origins)).take(arrive), np.inf, 1)
+        depth = self._media.optical_depth(origins.take(arrive, axis=0), directions.take(arrive, axis=0), end)
+        passed = self._media.transmittance(depth)
+        part = passed if part is None else part * passed
+        some = np.flatnonzero(part.any(axis=0))
+        return arrive.take(some), take(part, some), rays
 
     def passing(
         self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """The same of shadow rays (K, 3) of any origin; ``reach`` in lengths of the direction, or (K,)."""
+        """The same of shadow rays (K, 3) of any origin, but for fog; ``reach`` in lengths of the direction."""
         arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
-        part, rays = None, 0
-        if self._surfaces.any_transparent:
-            reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
-            part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
-        if self._media is not None:
-            end = np.where(np.broadcast_to(towards.at_infinity, len(origins)).take(arrive), np.inf, 1)
-            depth = self._media.optical_depth(origins.take(arrive, axis=0), directions.take(arrive, axis=0), end)
-            passed = self._media.transmittance(depth)
-            part = passed if part is None else part * passed
-        if part is None:
+        if not self._surfaces.any_transparent:
             return arrive, None, 0
+        reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
+        part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
         some = np.flatnonzero(part.any(axis=0))
         return arrive.take(some), take(part, some), rays
 

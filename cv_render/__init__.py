@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender on one side, `engine_core` on the other; no mathematics of light."""
 
-from . import engine, panels, properties
+from . import engine, lasers, panels, properties
 
-MODULES = (properties, engine, panels)
+MODULES = (properties, engine, lasers, panels)
 
 
 def register() -> None:

@@ -8,14 +8,30 @@ from typing import Any
 import numpy as np
 
 from ..engine_core import Film
+from .versions import volume_pass_name
 
 COMBINED = ("Combined", 4, "RGBA", "COLOR")
 DEPTH = ("Depth", 1, "Z", "VALUE")
 NORMAL = ("Normal", 3, "XYZ", "VECTOR")
+VOLUME = (volume_pass_name(), 3, "RGB", "COLOR")
+LASER = ("Laser", 3, "RGB", "COLOR")
 CONTROL_VARIATE = ("CV", 3, "RGB", "COLOR")
 RESIDUAL = ("Residual", 3, "RGB", "COLOR")
 SAMPLE_COUNT = ("Sample Count", 1, "X", "VALUE")
 STANDARD_ERROR = ("Standard Error", 3, "RGB", "COLOR")
+
+ARRAYS = {
+    "Combined": "combined",
+    "Depth": "depth",
+    "Normal": "normal",
+    VOLUME[0]: "volume",
+    "Laser": "laser",
+    "CV": "control_variate",
+    "Residual": "residual",
+    "Sample Count": "sample_count",
+    "Standard Error": "standard_error",
+}
+"""By the name of a pass, the array of the film that it shows."""
 
 
 def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
@@ -27,6 +43,8 @@ def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
         engine.register_pass(scene, view_layer, *NORMAL)
     chosen = view_layer.cv_render
     for wanted, render_pass in (
+        (chosen.use_pass_volume_direct, VOLUME),
+        (chosen.use_pass_laser, LASER),
         (chosen.use_pass_control_variate, CONTROL_VARIATE),
         (chosen.use_pass_residual, RESIDUAL),
         (chosen.use_pass_sample_count, SAMPLE_COUNT),
@@ -38,21 +56,12 @@ def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
 
 def write(engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
     """Pixels [y0:y1, x0:x1] of the film into Blender's result of a layer; row 0 is the bottom in both."""
-    arrays = {
-        "Combined": film.combined,
-        "Depth": film.depth,
-        "Normal": film.normal,
-        "CV": film.control_variate,
-        "Residual": film.residual,
-        "Sample Count": film.sample_count,
-        "Standard Error": film.standard_error,
-    }
     result = engine.begin_result(x0, y0, x1 - x0, y1 - y0, layer=layer, view=view)
     try:
         for render_pass in result.layers[0].passes:
-            array = arrays.get(render_pass.name)
-            if array is not None:
-                pixels = np.ascontiguousarray(array[y0:y1, x0:x1], np.float32)
+            attribute = ARRAYS.get(render_pass.name)
+            if attribute is not None:
+                pixels = np.ascontiguousarray(getattr(film, attribute)[y0:y1, x0:x1], np.float32)
                 if render_pass.name == "Combined":
                     # Noise about nothing may be below it, which nodes for compositing take badly.
                     pixels = np.maximum(pixels, 0)

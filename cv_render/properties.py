@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings of a scene, at ``scene.cv_render``."""
+"""The settings of scenes, view layers and lights, at their ``cv_render``."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
@@ -61,6 +63,25 @@ DIRECT_SAMPLING = (
     ),
 )
 
+DISTANCE_SAMPLING = (
+    ("auto", "Automatic", "The best that is known for each light"),
+    (
+        "equiangular",
+        "Equiangular",
+        "Alike in all directions from the light: clean shafts of light, noisy in thick fog",
+    ),
+    (
+        "free_path",
+        "Free Path",
+        "As light gets out of the fog: for thick fog, noisy about lamps",
+    ),
+    (
+        "mis",
+        "Both (MIS)",
+        "Equiangular and free path, combined by multiple importance sampling",
+    ),
+)
+
 TILE_SIZES = (
     ("0", "Automatic", "By the size of the picture"),
     *((str(n), f"{n} px", f"{n} by {n} pixels") for n in (64, 128, 256, 512)),
@@ -109,6 +130,12 @@ class CVRenderSceneSettings(bpy.types.PropertyGroup):
         description="How directions are chosen in which light reaches a surface that is not diffuse",
         items=DIRECT_SAMPLING,
         default=DEFAULTS.direct_sampling,
+    )
+    distance_sampling: EnumProperty(
+        name="Distance Sampling",
+        description="How the points of a camera ray are chosen at which fog is lit",
+        items=DISTANCE_SAMPLING,
+        default=DEFAULTS.distance_sampling,
     )
     transparent_bounces: IntProperty(
         name="Transparent Bounces",
@@ -174,6 +201,15 @@ class CVRenderSceneSettings(bpy.types.PropertyGroup):
 class CVRenderViewLayerSettings(bpy.types.PropertyGroup):
     """What of CV Render's own a view layer keeps."""
 
+    use_pass_volume_direct: BoolProperty(
+        name="Volume Direct",
+        description="Light that fog scatters towards the camera, but for lasers'",
+    )
+    use_pass_laser: BoolProperty(
+        name="Laser",
+        description="Light of lasers: beams, the spots where they end, and what fog scatters out of them",
+    )
+
     use_pass_control_variate: BoolProperty(
         name="CV",
         description="The control variate: what the polynomials alone say of the picture",
@@ -192,6 +228,61 @@ class CVRenderViewLayerSettings(bpy.types.PropertyGroup):
     )
 
 
+class CVRenderLightSettings(bpy.types.PropertyGroup):
+    """What makes a spot light a laser."""
+
+    is_laser: BoolProperty(
+        name="Laser",
+        description="A beam of parallel light that ends at the first surface, instead of a cone. Its power is "
+        "that of the whole beam. Other engines show the spot",
+        options=set(),
+    )
+    beam_radius: FloatProperty(
+        name="Beam Radius",
+        description="Radius of the beam where it is seen, and of the spot where it ends",
+        default=0.01,
+        min=0.0,
+        soft_max=1.0,
+        precision=4,
+        unit="LENGTH",
+        subtype="DISTANCE",
+    )
+    length: FloatProperty(
+        name="Length",
+        description="Where the beam ends if it meets nothing before; 0 is no limit",
+        default=0.0,
+        min=0.0,
+        soft_max=1000.0,
+        unit="LENGTH",
+        subtype="DISTANCE",
+    )
+    beam: BoolProperty(
+        name="Beam",
+        description="The beam itself, as fog scatters it to the camera",
+        default=True,
+    )
+    spot: BoolProperty(
+        name="Spot",
+        description="The spot of light on the surface where the beam ends",
+        default=True,
+    )
+    in_fog: BoolProperty(
+        name="Light in Fog",
+        description="Light that fog scatters out of the beam, and once more to the camera: the beam's glow",
+        default=True,
+    )
+    on_surfaces: BoolProperty(
+        name="Light on Surfaces",
+        description="Light that fog scatters out of the beam onto surfaces",
+        default=True,
+    )
+
+
+def is_laser(light: Any) -> bool:
+    """Whether a Blender light is drawn as a laser; a switch left on a light of another type counts for nothing."""
+    return light.type == "SPOT" and light.cv_render.is_laser
+
+
 def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Settings:
     """The engine's settings for the final render of a view layer."""
     chosen, render = scene.cv_render, scene.render
@@ -200,6 +291,7 @@ def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
         light_samples=chosen.light_samples,
         integrator=chosen.integrator,
         direct_sampling=chosen.direct_sampling,
+        distance_sampling=chosen.distance_sampling,
         transparent_bounces=chosen.transparent_bounces,
         seed=chosen.seed + (scene.frame_current if chosen.use_animated_seed else 0),
         noise_threshold=chosen.noise_threshold,
@@ -216,6 +308,8 @@ def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
 def register() -> None:
     bpy.utils.register_class(CVRenderSceneSettings)
     bpy.utils.register_class(CVRenderViewLayerSettings)
+    bpy.utils.register_class(CVRenderLightSettings)
+    bpy.types.Light.cv_render = PointerProperty(type=CVRenderLightSettings, name="CV Render")
     bpy.types.ViewLayer.cv_render = PointerProperty(type=CVRenderViewLayerSettings, name="CV Render")
     bpy.types.Scene.cv_render = PointerProperty(type=CVRenderSceneSettings, name="CV Render")
 
@@ -223,5 +317,7 @@ def register() -> None:
 def unregister() -> None:
     del bpy.types.Scene.cv_render
     del bpy.types.ViewLayer.cv_render
+    del bpy.types.Light.cv_render
+    bpy.utils.unregister_class(CVRenderLightSettings)
     bpy.utils.unregister_class(CVRenderViewLayerSettings)
     bpy.utils.unregister_class(CVRenderSceneSettings)

@@ -58,3 +58,8 @@ def flat_faces_split_normals() -> bool:
 def nodes_are_optional() -> bool:
     """Whether materials, lights and worlds have a switch for their nodes."""
     return bpy.app.version < (5, 0, 0)
+
+
+def volume_pass_name() -> str:
+    """What Cycles calls light that fog scatters: 5.0 gave passes names for people."""
+    return "Volume Direct" if bpy.app.version >= (5, 0, 0) else "VolumeDir"

@@ -307,7 +307,7 @@ def test_each_unsupported_thing_is_named_once(cv: ModuleType, scene: Any) -> Non
     _, messages = export(cv)
     assert messages == [
         f'Scene "{scene.name}": motion blur is not supported yet',
-        'Object "Smoke": volumes are not supported yet',
+        'Object "Smoke": OpenVDB volumes are not supported yet, its fog is left out',
         'Object "A", Object "B", Object "C" and 2 more: '
         "shadow catchers are not supported yet, it is an ordinary object",
     ]

@@ -35,6 +35,7 @@ class Placed:
 
     name : of the first object that has it.
     slots : (S,) int32, the scene's number of the material in each of the object's slots.
+    volume, surface : as of `engine_core.Mesh`.
     matrices : a (4, 4) object-to-world matrix for each instance.
     """
 
@@ -42,6 +43,8 @@ class Placed:
     mesh: MeshData
     looks: Looks
     slots: np.ndarray
+    volume: int = -1
+    surface: bool = True
     matrices: list[Any] = field(default_factory=list)
 
     @property
@@ -60,9 +63,16 @@ class Placed:
         each += 2 * 36 * len(mesh.triangles) * len(mesh.placed)
         return each * len(self.matrices)
 
-    def placed(self, origin: np.ndarray) -> Mesh:
-        """All instances as one mesh of the engine, its positions less ``origin`` ((3,) float64)."""
-        matrices = np.array(self.matrices, np.float64).reshape(-1, 4, 4)
+    def meshes(self, origin: np.ndarray) -> list[Mesh]:
+        """The engine's meshes, their positions less ``origin`` ((3,) float64).
+
+        All instances in one; but each by itself if they enclose a volume, which adds up where they overlap.
+        """
+        sets = [self.matrices] if self.volume < 0 else [[matrix] for matrix in self.matrices]
+        return [self._placed(matrices, origin) for matrices in sets]
+
+    def _placed(self, instances: list[Any], origin: np.ndarray) -> Mesh:
+        matrices = np.array(instances, np.float64).reshape(-1, 4, 4)
         matrices[:, :3, 3] -= origin
         count, mesh = len(matrices), self.mesh
         mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
@@ -86,6 +96,8 @@ class Placed:
             materials=np.tile(materials, count) if materials.ndim else materials,
             name=self.name,
             attributes=attributes,
+            volume=self.volume,
+            surface=self.surface,
             **self.looks._asdict(),
         )
 

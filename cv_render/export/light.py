@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...engine_core import AreaLight, PointLight, SpotLight, SunLight
+from ...engine_core import AreaLight, Laser, PointLight, SpotLight, SunLight
 from ...engine_core.scene import Light
+from ..properties import is_laser
 from ..versions import light_gain, light_is_normalized, node_tree
 from .material import emitted
 from .messages import Messages, named
@@ -38,7 +39,8 @@ def export_light(obj: Any, matrix: np.ndarray, messages: Messages) -> Light | No
         "visible_to_camera": obj.visible_camera,
         "name": obj.name,
     }
-    return _SHAPES[light.type](light, matrix, shared)
+    make = _laser if is_laser(light) else _SHAPES[light.type]
+    return make(light, matrix, shared)
 
 
 def _nodes_gain(light: Any, messages: Messages) -> np.ndarray | float:
@@ -71,6 +73,21 @@ def _spot(light: Any, matrix: np.ndarray, shared: dict[str, Any]) -> SpotLight:
         angle=min(light.spot_size, np.pi),
         blend=light.spot_blend,
         **shared,
+    )
+
+
+def _laser(light: Any, matrix: np.ndarray, shared: dict[str, Any]) -> Laser:
+    """A spot light that is switched to laser: its power is that of the beam, whatever the beam's radius."""
+    chosen = light.cv_render
+    return Laser(
+        light_to_world=matrix,
+        radius=chosen.beam_radius,
+        length=chosen.length or np.inf,
+        in_fog=chosen.in_fog,
+        on_surfaces=chosen.on_surfaces,
+        beam=chosen.beam,
+        spot=chosen.spot,
+        **shared | {"normalize": True},
     )
 
 

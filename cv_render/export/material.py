@@ -14,20 +14,26 @@ from ...engine_core.shading.textures import ImagePixels
 from ...engine_core.shading.values import Value, attributes_of
 from ..versions import node_tree
 from .messages import Messages, named
-from .nodes import Graph, Socket, constant, output_node
+from .nodes import Graph, Socket, constant, output_node, surface
 from .shader_nodes import closure
+from .volume import Fog, read_fog
 
 BLACK = np.zeros(3)
 
 
 class Materials:
-    """The materials that objects use, each exported once; number 0 is the grey of objects without any."""
+    """The materials that objects use, each exported once; number 0 is the grey of objects without any.
+
+    fogs : of each, what its Volume is fed with, or None. surfaces : False of those that are nothing but volume.
+    """
 
     def __init__(self, messages: Messages) -> None:
         self._messages = messages
         self._numbers: dict[int, int] = {}
         self._images: dict[int, ImagePixels] = {}
         self.exported = [Material(name="No material")]
+        self.fogs: list[Fog | None] = [None]
+        self.surfaces = [True]
 
     def number(self, material: Any | None) -> int:
         """The index of a Blender material in ``exported``."""
@@ -37,12 +43,15 @@ class Materials:
         if pointer not in self._numbers:
             self._numbers[pointer] = len(self.exported)
             self.exported.append(export_material(material, self._messages, self._images))
+            self.fogs.append(fog := read_fog(material, self._messages, self._images))
+            # As in Cycles, what only has a volume has no surface, rather than a black one.
+            self.surfaces.append(fog is None or surface(material) is not None)
         return self._numbers[pointer]
 
     def attributes(self, numbers: Iterable[int]) -> frozenset[str]:
         """Names of what a mesh must have at its corners if it has the materials of these ``numbers``."""
-        surfaces = (self.exported[number].surface for number in numbers)
-        return frozenset(name for surface in surfaces for name in attributes_of(surface))
+        closures = (self.exported[number].surface for number in numbers)
+        return frozenset(name for shader in closures for name in attributes_of(shader))
 
 
 def export_material(
@@ -55,13 +64,12 @@ def export_material(
     output = output_node(material)
     if output is None:
         return Material(0.0, name=material.name)
-    for name in ("Volume", "Displacement"):
-        if output.inputs[name].is_linked:
-            messages.add(owner, f"{name.lower()} is not supported yet and is left out")
-    surface = closure(Graph(owner, messages, images), Socket(output.inputs["Surface"]))
-    plain = _lambertian(surface)
+    if output.inputs["Displacement"].is_linked:
+        messages.add(owner, "displacement is not supported yet and is left out")
+    shader = closure(Graph(owner, messages, images), Socket(output.inputs["Surface"]))
+    plain = _lambertian(shader)
     if plain is None:
-        return Material(surface=surface, name=material.name)
+        return Material(surface=shader, name=material.name)
     reflectance, emission = plain
     return Material(np.maximum(reflectance, 0.0), emission, material.name)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,18 @@ class MeshData:
     slots: Any
     attributes: dict[str, np.ndarray] = field(default_factory=dict)
     placed: tuple[str, ...] = ()
+
+    def part(self, chosen: np.ndarray) -> MeshData:
+        """The triangles that are ``chosen`` ((T,) bool), with no vertices but theirs."""
+        used, triangles = np.unique(self.triangles[chosen], return_inverse=True)
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            triangles=triangles.reshape(-1, 3).astype(np.int32),
+            normal_indices=None if self.normal_indices is None else self.normal_indices[chosen],
+            slots=self.slots[chosen] if np.ndim(self.slots) else self.slots,
+            attributes={name: values[chosen] for name, values in self.attributes.items()},
+        )
 
 
 def read_mesh(mesh: Any, attributes: Collection[str] = ()) -> MeshData | None:

@@ -130,14 +130,18 @@ class Graph:
         elif source.node.type in NODES and not source.node.mute:
             found = self._output(source)
         else:
-            self.tell(
-                f"{described(source)} is not supported yet, "
-                f'"{socket.socket.name}" of "{socket.node.name}" keeps its plain value'
-            )
-            return plain_value(socket.socket)
+            return self.unsupported(socket, source)
         for before, after in pairwise([source.socket.type, *types]):
             found = _converted(found, before, after)
         return found
+
+    def unsupported(self, socket: Socket, source: Socket) -> Value | np.ndarray:
+        """What an input is taken for if nobody knows what its ``source`` computes."""
+        self.tell(
+            f"{described(source)} is not supported yet, "
+            f'"{socket.socket.name}" of "{socket.node.name}" keeps its plain value'
+        )
+        return plain_value(socket.socket)
 
     def _output(self, source: Socket) -> Value | np.ndarray:
         return self.shared(source.key(), lambda: NODES[source.node.type](Node(self, source)))

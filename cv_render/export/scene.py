@@ -3,25 +3,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ...engine_core import Scene
+from ...engine_core import Scene, Volume
 from ...engine_core.scene import Light
 from ..versions import terminator_offset
 from .camera import export_camera
 from .instances import Looks, Placed, check_memory
 from .light import export_light
 from .material import Materials
-from .mesh import read_mesh
+from .mesh import MeshData, read_mesh
 from .messages import Messages, named
+from .volume import Region
 from .world import export_world
 
 NOT_YET = {
     "CURVES": "hair curves are",
     "POINTCLOUD": "point clouds are",
-    "VOLUME": "volumes are",
     "GPENCIL": "grease pencil is",
     "GREASEPENCIL": "grease pencil is",
 }
@@ -37,13 +38,16 @@ def export_scene(engine: Any, depsgraph: Any, messages: Messages) -> Scene:
     for instance in depsgraph.object_instances:
         objects.add(instance)
     check_memory(objects.groups)
+    world = export_world(view_layer.world_override or scene.world, messages, objects.volumes)
+    objects.check_lights()
     return Scene(
         camera=camera,
-        meshes=tuple(group.placed(origin) for group in objects.groups),
+        meshes=tuple(mesh for group in objects.groups for mesh in group.meshes(origin)),
         materials=tuple(objects.materials.exported),
         lights=tuple(objects.lights),
-        world=export_world(view_layer.world_override or scene.world, messages),
+        world=world,
         origin=origin,
+        volumes=tuple(objects.volumes),
     )
 
 
@@ -54,14 +58,17 @@ class Objects:
         self._view_layer = view_layer
         self._origin = origin
         self._messages = messages
-        self._groups: dict[tuple[Any, ...], Placed | None] = {}
+        self._groups: dict[tuple[Any, ...], list[Placed]] = {}
         self._layer_flags: dict[int, tuple[bool, bool]] = {}
+        self._without_fog: list[str] = []
+        self._volumes: dict[int, tuple[int, list[str]]] = {}
         self.lights: list[Light] = []
         self.materials = Materials(messages)
+        self.volumes: list[Volume] = []
 
     @property
     def groups(self) -> list[Placed]:
-        return [group for group in self._groups.values() if group is not None]
+        return [group for parts in self._groups.values() for group in parts]
 
     def add(self, instance: Any) -> None:
         """Take in one instance of the dependency graph; its object lives only until the next one."""
@@ -75,6 +82,10 @@ class Objects:
             self._add_light(obj, instance)
         elif kind == "MESH":  # curves, surfaces, texts and metaballs come by as the meshes they make, too
             self._add_mesh(obj, instance)
+        elif kind == "VOLUME":
+            slot = obj.active_material
+            material = f' of material "{slot.name}"' if slot else ""
+            self._messages.add(named(obj), f"OpenVDB volumes are not supported yet, its fog{material} is left out")
         elif kind in NOT_YET:
             self._messages.add(named(obj), f"{NOT_YET[kind]} not supported yet")
 
@@ -84,6 +95,8 @@ class Objects:
         light = export_light(obj, matrix, self._messages)
         if light is not None:
             self.lights.append(light)
+            if not obj.visible_volume_scatter:
+                self._without_fog.append(named(obj))
         self._check_linking(obj)
 
     def _add_mesh(self, obj: Any, instance: Any) -> None:
@@ -96,11 +109,67 @@ class Objects:
         key = (obj.data.as_pointer(), slots, looks)
         if key not in self._groups:
             mesh = read_mesh(obj.data, self.materials.attributes(slots))
-            self._groups[key] = mesh and Placed(obj.name, mesh, looks, np.array(slots, np.int32))
-            self._check(obj, self._groups[key])
-        group = self._groups[key]
-        if group is not None:
+            self._groups[key] = self._parts(obj, instance.matrix_world, mesh, slots, looks) if mesh else []
+            if mesh:
+                self._check(obj, self._groups[key])
+        for group in self._groups[key]:
             group.matrices.append(instance.matrix_world.copy())
+
+    def _parts(
+        self, obj: Any, matrix: Any, mesh: MeshData, slots: tuple[int, ...], looks: Looks
+    ) -> list[Placed]:
+        """The mesh; in parts where some of its materials have volumes, as what each material bounds."""
+        whole = Placed(obj.name, mesh, looks, np.array(slots, np.int32))
+        numbers = np.asarray(whole.materials)
+        used = [int(number) for number in np.unique(numbers)]
+        foggy = [number for number in used if self.materials.fogs[number] is not None]
+        if not foggy:
+            return [whole]
+        if len(used) == 1:
+            parts = [(mesh, used[0])]
+        else:
+            parts = [(mesh.part(numbers == number), number) for number in foggy]
+        placed = []
+        for part, number in parts:
+            volume = self._volume(obj, matrix, part, number, looks)
+            surface = self.materials.surfaces[number]
+            if volume >= 0 or surface:
+                placed.append(replace(whole, mesh=part, volume=volume, surface=surface, matrices=[]))
+        if len(used) > len(foggy):
+            placed.append(replace(whole, mesh=mesh.part(~np.isin(numbers, foggy)), matrices=[]))
+        return placed
+
+    def _volume(self, obj: Any, matrix: Any, mesh: MeshData, number: int, looks: Looks) -> int:
+        """Which of `volumes` the material of this ``number`` fills an object's mesh with; -1 for none."""
+        fog = self.materials.fogs[number]
+        owner = f'volume of material "{fog.name}"'
+
+        def tell(problem: str) -> None:
+            self._messages.add(named(obj), f"{owner}: {problem}")
+
+        if number not in self._volumes or fog.varies:
+            volume, problems = fog.volume(Region.of(mesh.vertices, matrix))
+            if volume is not None:
+                self.volumes.append(volume)
+            self._volumes[number] = -1 if volume is None else len(self.volumes) - 1, problems
+        found, problems = self._volumes[number]
+        for problem in problems:
+            tell(problem)
+        if found >= 0:
+            if not looks.visible_to_camera:
+                tell("the camera does not see it, it is left out")
+                return -1
+            if not looks.casts_shadow:
+                tell("it takes light from what lies behind it, although the object casts no shadow")
+            if looks.holdout:
+                tell("fog that is a holdout is not supported yet, it is ordinary fog")
+        return found
+
+    def check_lights(self) -> None:
+        """Name the lights that should not light fog, if there is any."""
+        if self.volumes:
+            for owner in self._without_fog:
+                self._messages.add(owner, "is invisible to volume scatter, which is not supported: it lights fog")
 
     def _flags(self, obj: Any) -> tuple[bool, bool]:
         """(holdout, indirect only), of the object itself or of its collections in this view layer."""
@@ -117,11 +186,9 @@ class Objects:
         slots = [slot.material for slot in obj.material_slots] or [None]
         return tuple(self.materials.number(override or material) for material in slots)
 
-    def _check(self, obj: Any, group: Placed | None) -> None:
+    def _check(self, obj: Any, parts: list[Placed]) -> None:
         """Name what will not look as it should."""
-        if group is None:
-            return
-        if not group.materials.all():
+        if not all(part.materials.all() for part in parts):
             self._messages.add(named(obj), "has no material, it is rendered as diffuse grey")
         if obj.is_shadow_catcher:
             self._messages.add(named(obj), "shadow catchers are not supported yet, it is an ordinary object")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world: light of one colour, or of an environment texture, from everywhere."""
+"""The world: light of one colour, or of an environment texture, from everywhere; and what fills it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,30 @@ from typing import Any
 
 import numpy as np
 
-from ...engine_core import World
+from ...engine_core import Volume, World
 from ..versions import node_tree
 from .images import read_image
 from .material import emitted
 from .messages import Messages, named
-from .nodes import Socket, constant, described, output_node, surface
+from .nodes import Socket, constant, described, surface
+from .volume import read_fog
 
 
-def export_world(world: Any | None, messages: Messages) -> World:
-    """A Blender world's background; no world is black."""
+def export_world(world: Any | None, messages: Messages, volumes: list[Volume]) -> World:
+    """A Blender world's background, no world is black; what fills it is added to ``volumes``."""
     if world is None:
         return World(name="No world")
     visibility = getattr(world, "cycles_visibility", None)
     visible = visibility.camera if visibility else True
-    return World(visible_to_camera=visible, name=world.name, **_light(world, messages))
+    number = -1
+    if (fog := read_fog(world, messages)) is not None:
+        volume, problems = fog.volume(region=None)
+        for problem in problems:
+            messages.add(named(world), f"volume: {problem}")
+        if volume is not None:
+            number = len(volumes)
+            volumes.append(volume)
+    return World(visible_to_camera=visible, name=world.name, volume=number, **_light(world, messages))
 
 
 def _light(world: Any, messages: Messages) -> dict[str, np.ndarray]:
@@ -29,9 +38,6 @@ def _light(world: Any, messages: Messages) -> dict[str, np.ndarray]:
     if node_tree(world) is None:
         return {"radiance": np.array(world.color)}
     owner = named(world)
-    output = output_node(world)
-    if output is not None and output.inputs["Volume"].is_linked:
-        messages.add(owner, "volume is not supported yet and is left out")
     shader = surface(world)
     if shader is None:
         return {}

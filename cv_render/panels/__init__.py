@@ -11,11 +11,13 @@ from . import (
     performance,
     sampling,
     view_layer,
+    volumes,
     world,
 )
 
 MODULES = (
     sampling,
+    volumes,
     light_paths,
     performance,
     messages,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..properties import is_laser
 from .base import EnginePanel, draw_nodes, properties_layout, registration
 
 
@@ -33,10 +34,11 @@ class CVRENDER_LIGHT_PT_light(LightPanel, bpy.types.Panel):
         column.separator()
         column.prop(light, "energy")
         for name in ("exposure", "normalize"):
-            if hasattr(light, name):
+            if hasattr(light, name) and not (name == "normalize" and is_laser(light)):
                 column.prop(light, name)
-        column.separator()
-        self._draw_size(column, light)
+        if not is_laser(light):
+            column.separator()
+            self._draw_size(column, light)
         column.separator()
         column.prop(light, "use_shadow", text="Cast Shadow")
         if context.object is not None:
@@ -65,7 +67,7 @@ class CVRENDER_LIGHT_PT_beam_shape(LightPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and context.light.type in {"SPOT", "AREA"}
+        return super().poll(context) and context.light.type in {"SPOT", "AREA"} and not is_laser(context.light)
 
     def draw(self, context: bpy.types.Context) -> None:
         light = context.light
@@ -78,6 +80,28 @@ class CVRENDER_LIGHT_PT_beam_shape(LightPanel, bpy.types.Panel):
             column.prop(light, "spread")
 
 
+class CVRENDER_LIGHT_PT_laser(LightPanel, bpy.types.Panel):
+    bl_label = "Laser"
+    bl_parent_id = "CVRENDER_LIGHT_PT_light"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return super().poll(context) and context.light.type == "SPOT"
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        self.layout.prop(context.light.cv_render, "is_laser", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        laser = context.light.cv_render
+        column = properties_layout(self)
+        column.active = laser.is_laser
+        column.prop(laser, "beam_radius")
+        column.prop(laser, "length")
+        parts = column.column(heading="Show", align=True)
+        for name in ("beam", "spot", "in_fog", "on_surfaces"):
+            parts.prop(laser, name)
+
+
 class CVRENDER_LIGHT_PT_nodes(LightPanel, bpy.types.Panel):
     bl_label = "Nodes"
     bl_options = {"DEFAULT_CLOSED"}
@@ -87,5 +111,5 @@ class CVRENDER_LIGHT_PT_nodes(LightPanel, bpy.types.Panel):
 
 
 register, unregister = registration(
-    CVRENDER_LIGHT_PT_light, CVRENDER_LIGHT_PT_beam_shape, CVRENDER_LIGHT_PT_nodes
+    CVRENDER_LIGHT_PT_light, CVRENDER_LIGHT_PT_beam_shape, CVRENDER_LIGHT_PT_laser, CVRENDER_LIGHT_PT_nodes
 )

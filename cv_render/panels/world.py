@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""World properties: the background's nodes, and whether the camera sees it."""
+"""World properties: the nodes of background and volume, and whether the camera sees the background."""
 
 from __future__ import annotations
 
 import bpy
 
+from ..versions import node_tree
 from .base import EnginePanel, draw_nodes, properties_layout, registration
 
 
@@ -23,6 +24,18 @@ class CVRENDER_WORLD_PT_surface(WorldPanel, bpy.types.Panel):
         draw_nodes(properties_layout(self), context.world, "Surface", plain="color")
 
 
+class CVRENDER_WORLD_PT_volume(WorldPanel, bpy.types.Panel):
+    bl_label = "Volume"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return super().poll(context) and node_tree(context.world) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        draw_nodes(properties_layout(self), context.world, "Volume")
+
+
 class CVRENDER_WORLD_PT_ray_visibility(WorldPanel, bpy.types.Panel):
     bl_label = "Ray Visibility"
     bl_options = {"DEFAULT_CLOSED"}
@@ -35,4 +48,6 @@ class CVRENDER_WORLD_PT_ray_visibility(WorldPanel, bpy.types.Panel):
         properties_layout(self, animated=False).prop(context.world.cycles_visibility, "camera")
 
 
-register, unregister = registration(CVRENDER_WORLD_PT_surface, CVRENDER_WORLD_PT_ray_visibility)
+register, unregister = registration(
+    CVRENDER_WORLD_PT_surface, CVRENDER_WORLD_PT_volume, CVRENDER_WORLD_PT_ray_visibility
+)

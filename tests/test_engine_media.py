@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from scenes import box, place, sphere
+from scenes import box, floor, patch_camera, sphere
 
-from engine_core import Camera, Mesh, Scene, Volume, World
+from engine_core import Camera, Material, Mesh, PointLight, RenderError, Scene, SunLight, Volume, World
 from engine_core.geometry import boundaries
 from engine_core.geometry.boundaries import Boundaries
-from engine_core.geometry.frame import Frame, frame_of
+from engine_core.geometry.frame import Frame
+from engine_core.shading.closures import Diffuse, Holdout, Mix, Transparent
+from engine_core.transport.direct_light import ALPHA, RGB, DirectLight, Pixels
 from engine_core.transport.media import DIRECT, Media
 
-FRAME = Frame(np.zeros(3), 1.0)
 CAMERA = Camera.look_at((0, -6, 0), (0, 0, 0), 4, 4)
 
 
@@ -119,3 +119,178 @@ def test_depth_through_nested_and_overlapping_bodies_is_that_of_brute_force(
     at_end = origins + directions * np.float32(1.5)
     ends = np.stack([winding(at_end, mesh) * sign > 0 for mesh, sign in zip(meshes, signs, strict=True)])
     np.testing.assert_array_equal((ends * (1 << np.arange(4))[:, None]).sum(axis=0), along.state)
+
+
+def edge_rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rays through edges and corners of the box from -1 to 1, along its sides, and just beside them."""
+    rng = np.random.default_rng(seed)
+    at = rng.choice([-1.0, 1.0], (count, 3))
+    at[: count // 2, 0] = rng.uniform(-1, 1, count // 2)
+    away = rng.uniform(-1, 1, (count, 3))
+    away[rng.random((count, 3)) < 0.4] = 0
+    away[~away.any(axis=1)] = (0, 0, 1)
+    at += rng.choice([0, 1e-7, -1e-7, 1e-5], (count, 1)) * rng.uniform(-1, 1, (count, 3))
+    return (at - 2 * away).astype(np.float32), away.astype(np.float32)
+
+
+@pytest.mark.parametrize("traced", (False, True))
+def test_rays_along_edges_stay_in_a_body_no_longer_than_it_is(
+    traced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if traced:
+        monkeypatch.setattr(boundaries, "FEW_PLANES", 0)
+    media = media_of(box(volume=0), volumes=(Volume(1.0),))
+    origins, directions = edge_rays(4000, 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inner = np.nan_to_num(chord((-0.9999,) * 3, (0.9999,) * 3, origins, directions))
+        outer = np.nan_to_num(chord((-1.0001,) * 3, (1.0001,) * 3, origins, directions))
+    depth = media.optical_depth(origins, directions, np.inf)[0]
+    assert (depth >= inner - 1e-4).all()
+    assert (depth <= outer + 1e-4).all()
+    assert (media.along(origins, directions, np.inf).state == 0).all()
+
+
+def test_faces_that_coincide_leave_no_slivers() -> None:
+    # Two boxes face to face, one around both, and one twice.
+    left, right = box((-1, -1, -1), (0.1, 1, 1), volume=0), box((0.1, -1, -1), (1, 1, 1), volume=1)
+    media = media_of(left, right, box(volume=2), box(volume=2), volumes=(Volume(1.0), Volume(2.0), Volume(0.25)))
+    origins, directions = rays(2000, 4, 0.99)
+    origins[:, 0] = -2
+    directions = (np.array([[2, 0, 0]]) + 0.2 * directions).astype(np.float32)
+    along = media.along(origins, directions, 4.0)
+    assert set(along.inside) <= {0b1101, 0b1110}
+    assert np.bincount(along.ray).max() <= 2
+    a = chord((-1, -1, -1), (0.1, 1, 1), origins, directions)
+    b = chord((0.1, -1, -1), (1, 1, 1), origins, directions)
+    np.testing.assert_allclose(along.total[0], 1.5 * a + 2.5 * b, atol=1e-5)
+    np.testing.assert_allclose(along.depth[0][along.inside == 0b1110], 1.5 * a[along.ray[along.inside == 0b1110]], atol=1e-5)
+
+
+def test_rays_begin_inside_or_outside() -> None:
+    media = media_of(
+        sphere((0, 0, 0), 1.0, segments=64, volume=0), box((-2, -2, -2), (2, 2, 2), volume=0), volumes=(Volume(0.5),)
+    )
+    x = np.array([-3, -1.5, 0, 1.5, 3], np.float32)
+    origins = np.stack([x, 0.01 + 0 * x, 0.02 + 0 * x], axis=1)
+    along = media.along(origins, np.array([[2, 0, 0]], np.float32), np.inf)
+    assert media.grey and along.total.shape == (1, 5)
+    np.testing.assert_allclose(along.total[0], 0.5 * np.array([6, 5.5, 3, 0.5, 0]), atol=0.01)
+    np.testing.assert_array_equal(along.ray, [0, 0, 0, 1, 1, 1, 2, 2, 3])
+    np.testing.assert_allclose(along.start, [1, 2, 4, 0, 0.5, 2.5, 0, 1, 0], atol=0.01)
+    np.testing.assert_array_equal(along.inside, [2, 3, 2, 2, 3, 2, 3, 2, 2])
+    near = media.along(origins, np.array([[2, 0, 0]], np.float32), 1.0)  # two units on
+    np.testing.assert_array_equal(near.state, [2, 3, 2, 0, 0])
+
+
+def test_an_open_mesh_is_entered_for_good() -> None:
+    open_box = box(volume=0)
+    open_box = replace(open_box, triangles=open_box.triangles[2:])  # without the side at x = -1
+    media = media_of(open_box, volumes=(Volume(1.0),))
+    origins = np.array([[0, 0.1, 0.2], [0, 0.1, 3], [3, 0.1, 0.2], [0, 0.1, 0.2]], np.float32)
+    directions = np.array([[1, 0, 0], [0, 0, -1], [-1, 0, 0], [-1, 0, 0]], np.float32)
+    depth = media.optical_depth(origins, directions, 5.0, np.ones(4, np.uint64))
+    np.testing.assert_allclose(depth[0], [1, 2, 3, 5], rtol=1e-5)
+    np.testing.assert_allclose(media.optical_depth(origins, directions, 5.0)[0], [1, 2, 3, 0], rtol=1e-5)
+
+
+def test_triangles_without_finite_corners_bound_nothing() -> None:
+    mesh = box(volume=0)
+    vertices = np.concatenate([mesh.vertices, [[np.nan, 0, 0], [np.inf, 0, 0]]])
+    mesh = replace(mesh, vertices=vertices, triangles=np.concatenate([mesh.triangles, [[0, 8, 9]]]))
+    media = media_of(mesh, volumes=(Volume(1.0),))
+    ray = np.array([[0, 0, -3]], np.float32), np.array([[0, 0, 1]], np.float32)
+    assert media.optical_depth(*ray, np.inf) == pytest.approx(2)
+    nothing = replace(mesh, triangles=[[0, 8, 9]])
+    assert media_of(nothing, volumes=(Volume(1.0),)).optical_depth(*ray, np.inf) == 0
+
+
+def test_the_worlds_medium_is_everywhere_and_lets_nothing_through_from_infinity() -> None:
+    media = media_of(box(volume=0), volumes=(Volume((1, 2, 3)), Volume(0.1)), world=1)
+    origins, directions = rays(500, 5)
+    length = np.linalg.norm(directions.astype(float), axis=1)
+    inside = chord((-1,) * 3, (1,) * 3, origins, directions, 2.0)
+    expected = np.array([[1], [2], [3]]) * inside + 0.1 * 2 * length
+    np.testing.assert_allclose(media.optical_depth(origins, directions, 2.0), expected, rtol=1e-4, atol=1e-5)
+    along = media.along(origins, directions, 2.0)
+    np.testing.assert_allclose(along.total, expected, rtol=1e-4, atol=1e-5)
+    # Segments join without a gap, and their depths add up.
+    same = along.ray[1:] == along.ray[:-1]
+    np.testing.assert_array_equal(along.start[1:][same], along.end[:-1][same])
+    own = media.extinction[:, along.mixture] * (along.end - along.start)
+    np.testing.assert_allclose(along.depth[:, 1:][:, same], (along.depth + own)[:, :-1][:, same], rtol=1e-5)
+    endless = media.along(origins, directions, np.inf)
+    assert np.isinf(endless.total).all() and np.isinf(endless.end).sum() == 500
+    assert np.isinf(media.optical_depth(origins, directions, np.inf)).all()
+    assert (media.seen(origins, directions, np.inf)[0] == 0).all()
+
+
+def test_emission_is_that_of_a_sum_over_the_ray() -> None:
+    volumes = (Volume((0.5, 0, 0.2), emission=(1, 2, 0)), Volume(0.3, 0.4), Volume(0, emission=(0, 0.5, 0.25)))
+    low, high = (-0.5, -0.4, -0.3), (0.6, 0.7, 0.8)
+    media = media_of(box(volume=0), box(low, high, volume=1), box(low, high, volume=2), volumes=volumes)
+    origins, directions = rays(200, 6)
+    length = np.linalg.norm(directions.astype(float), axis=1)
+    t = (np.arange(4000) + 0.5) / 4000 * 2
+    points = origins[:, None].astype(float) + directions[:, None] * t[:, None]
+    inside = np.stack(
+        [((points > a) & (points < b)).all(axis=2) for a, b in (((-1,) * 3, (1,) * 3), (low, high), (low, high))]
+    )
+    step = 2 / 4000 * length[:, None]
+    sigma, glow = (
+        np.einsum("bc,bnt->cnt", np.array([getattr(v, name) for v in volumes]), inside) * step
+        for name in ("extinction", "emission")
+    )
+    depth = np.cumsum(sigma, axis=2) - sigma / 2
+    expected = (glow * np.exp(-depth)).sum(axis=2)
+    passed, found = media.seen(origins, directions, 2.0)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * expected.max())
+    np.testing.assert_allclose(passed, np.exp(-sigma.sum(axis=2)), atol=2e-3)
+
+
+@pytest.mark.parametrize("sigma", (0.0, 1e-30, 1e-12, 1e-3, 1.0, 1e4, 1e30))
+def test_emission_of_thin_and_thick_air_is_finite(sigma: float) -> None:
+    media = media_of(box(volume=0), volumes=(Volume(sigma, emission=2.0),))
+    origin, direction = np.array([[0, 0, -3]], np.float32), np.array([[0, 0, 1]], np.float32)
+    passed, glow = media.seen(origin, direction, np.inf)
+    np.testing.assert_allclose(glow, 2 * (-np.expm1(-2 * sigma) / sigma if sigma else 2), rtol=1e-5)
+    np.testing.assert_allclose(passed, np.exp(-2 * sigma), rtol=1e-5)
+
+
+def test_scale_changes_nothing() -> None:
+    origins, directions = rays(300, 7)
+    volumes = (Volume((0.1, 0.2, 0.4), emission=1.0), Volume(0.5))
+    meshes = sphere(volume=0), box((0, 0, 0), (2, 2, 2), volume=1)
+    depth = media_of(*meshes, volumes=volumes, world=0).along(origins, directions, 1.5)
+    scaled = media_of(*meshes, volumes=volumes, world=0, scale=2.0**-13).along(
+        origins * 2.0**-13, directions * 2.0**-13, 1.5
+    )
+    np.testing.assert_allclose(scaled.total, depth.total, rtol=1e-6)
+    np.testing.assert_allclose(scaled.emission, depth.emission, rtol=1e-6)
+
+
+def test_mixtures_add_up_their_phase_functions() -> None:
+    two = Volume([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], anisotropy=[0.5, -0.2])
+    media = media_of(box(volume=0), box(volume=1), volumes=(two, Volume(1.0, anisotropy=0.5)))
+    both = media.components(3)
+    assert [g for _, g in both] == [-0.2, 0.5]
+    np.testing.assert_allclose([s for s, _ in both], [[0.4, 0.5, 0.6], [1.1, 1.2, 1.3]])
+    assert media.components(0) == []
+    np.testing.assert_allclose(media.extinction[:, 3], [1.5, 1.7, 1.9])
+
+
+def test_many_bodies() -> None:
+    """More than the tables of all sets hold, and more than there may be."""
+    count = DIRECT + 8
+    boxes = [box((-1, -1, 2 * i), (1, 1, 2 * i + 3), volume=0) for i in range(count)]  # each overlaps the next
+    media = media_of(*boxes, volumes=(Volume(0.01),))
+    ray = np.array([[0.1, 0.2, -1]], np.float32), np.array([[0, 0, 1]], np.float32)
+    along = media.along(*ray, np.inf)
+    assert along.total == pytest.approx(0.03 * count)
+    assert len(along.ray) == 2 * count - 1
+    np.testing.assert_allclose(media.extinction[0, along.mixture], np.tile([0.01, 0.02], count)[:-1])
+    with pytest.raises(RenderError, match="64 meshes enclose a volume"):
+        media_of(*64 * [boxes[0]], volumes=(Volume(0.01),))
+
+
+def test_there_are_no_media_where_nothing_attenuates_or_glows() -> None:
+    assert media_of(box(volume=0), box(), volumes=(Volume(),), world=0) is None

@@ -18,6 +18,9 @@ FEW_PLANES = 24
 
 _ULPS = 8 * 2.0**-24
 
+_SOME_DIRECTION = np.array([0.4289, 0.6719, 0.6037], np.float32)
+"""Along no edge of what people build."""
+
 
 @dataclass(eq=False)
 class Spans:
@@ -36,8 +39,8 @@ class Boundaries:
     """Closed meshes as bodies that rays enter and leave.
 
     Only the sides of triangles decide what is inside: a body's first crossing tells whether the ray began
-    there. So no state is handed from ray to ray, and none can be wrong. A mesh turned inside out is taken
-    the other way round. What never ends, as the mesh is open, is inside to the ray's end.
+    there. So no state need be handed from ray to ray, and none can be wrong. A mesh turned inside out is
+    taken the other way round. In an open mesh, what is entered and not left is inside to the ray's end.
     """
 
     def __init__(self, bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
@@ -58,7 +61,8 @@ class Boundaries:
         """Where rays are inside one body, between 0 and their ``reach`` (N,).
 
         origins, directions : (N, 3) float32, of any length.
-        inside : (N,) bool, which rays begin in an open body if they never cross it; None for none.
+        inside : (N,) bool, which rays begin inside; None if unknown. Needed of an open body alone, where a ray
+            may not meet it any more; of others it saves work.
         """
         return self.bodies[body].spans(origins, directions, reach, inside)
 
@@ -100,52 +104,55 @@ class _Traced:
         self._size = max(-self._low.min(), self._high.max(), 0.0)
 
     def spans(self, origins, directions, reach, inside) -> Spans:
-        whole, ray = reach, self._near(origins, directions, reach)
+        ray, whole = self._near(origins, directions, reach), reach
         crossed = np.zeros(len(origins), bool)
+        known = np.zeros(len(ray), bool) if inside is None else inside.take(ray)
         origins, directions, reach = origins.take(ray, axis=0), directions.take(ray, axis=0), reach.take(ray)
         # Off the surface just crossed, by what the arithmetic can be wrong by.
         size = np.maximum(np.abs(origins).max(axis=1, initial=0), self._size)
         offset = _ULPS * size / np.maximum(np.sqrt((directions**2).sum(axis=1)), np.float32(1e-37))
-        travelled, step = np.zeros((2, len(ray)))
-        entered = np.full(len(ray), np.nan)  # where the ray did so last; NaN outside
+        last, step = np.zeros((2, len(ray)))
+        within = np.zeros(len(ray), bool)  # behind the last crossing, by the side of its triangle
         found = [Spans(np.zeros(0, np.intp), np.zeros(0), np.zeros(0))]
 
         def add(which: np.ndarray, start: np.ndarray, end: np.ndarray | float) -> None:
-            start = start[which]
-            end = np.minimum(end, reach)[which]
+            start, end = start[which], np.minimum(end, reach)[which]
             some = end > start
             found.append(Spans(ray[which][some], start[some], end[some]))
 
         while ray.size:
-            start = (origins + directions * travelled[:, None]).astype(np.float32)
-            hits = self._tracer.closest_hit(start, directions)
+            hits = self._tracer.closest_hit(_at(origins, directions, last + step), directions)
             met = hits.triangle >= 0
             if not self._closed:
-                add(~met, entered, np.inf)
-            # A closed body that was entered and is never left was but touched.
-            ray, origins, directions, reach, offset, travelled, step, entered, distance, normal = (
+                add(~met & within, last, np.inf)
+            ray, origins, directions, reach, known, offset, last, step, within, distance, normal = (
                 x.compress(met, axis=0)
                 for x in (
-                    ray, origins, directions, reach, offset, travelled, step, entered, hits.distance, hits.normal
+                    ray, origins, directions, reach, known, offset, last, step, within,
+                    hits.distance, hits.normal,
                 )
             )  # fmt: skip
-            at = travelled + distance
+            at = last + step + distance
+            entering = self._sign * (normal * directions).sum(axis=1) < 0
             first = ~crossed.take(ray)
             crossed[ray] = True
-            entering = self._sign * (normal * directions).sum(axis=1) < 0
-            outside = np.isnan(entered)
-            add(~entering & first, np.zeros(len(ray)), at)
-            add(~entering & ~outside, entered, at)
-            entered = np.where(entering, np.where(outside, at, entered), np.nan)
-            beyond = at >= reach
-            add(beyond, entered, np.inf)
+            if self._closed:
+                # Through an edge, or a sliver, a ray may meet but one of two sides: the point between tells.
+                inside_between = ~entering
+                doubted = np.flatnonzero(np.where(first, inside_between & ~known, inside_between != within))
+                middle = ((last + at) / 2).take(doubted)
+                inside_between[doubted] = self.contains(
+                    _at(origins.take(doubted, axis=0), directions.take(doubted, axis=0), middle)
+                )
+            else:
+                inside_between = np.where(first, ~entering, within)
+            add(inside_between, last, at)
             # Along an edge, or a triangle seen edge-on, hits may repeat: ever further then.
             step = np.where(distance < 4 * step, 2 * step, offset)
-            travelled = at + step
-            on = ~beyond
-            ray, origins, directions, reach, offset, travelled, step, entered = (
+            last, within, on = at, entering, at < reach
+            ray, origins, directions, reach, known, offset, last, step, within = (
                 x.compress(on, axis=0)
-                for x in (ray, origins, directions, reach, offset, travelled, step, entered)
+                for x in (ray, origins, directions, reach, known, offset, last, step, within)
             )
         if inside is not None and not self._closed:
             never = np.flatnonzero(inside & ~crossed)
@@ -155,6 +162,16 @@ class _Traced:
             *(np.concatenate([getattr(x, name) for x in found]).take(order) for name in ("ray", "start", "end"))
         )
 
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """(K,) bool, which points (K, 3) are inside, by what a ray in some direction meets first."""
+        result = np.zeros(len(points), bool)
+        near = np.flatnonzero(((points >= self._low) & (points <= self._high)).all(axis=1))
+        some = np.ascontiguousarray(np.broadcast_to(_SOME_DIRECTION, (len(near), 3)))
+        hits = self._tracer.closest_hit(points.take(near, axis=0), some)
+        leaving = self._sign * (hits.normal * _SOME_DIRECTION).sum(axis=1) > 0
+        result[near] = leaving & (hits.triangle >= 0)
+        return result
+
     def _near(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """Rays that meet the bounding box within their reach."""
         margin = _ULPS * np.maximum(np.abs(origins).max(initial=0), self._size)
@@ -163,9 +180,14 @@ class _Traced:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 a = (self._low[i] - margin - origins[:, i]) / directions[:, i]
                 b = (self._high[i] + margin - origins[:, i]) / directions[:, i]
-            # Neither ignores NaN: a ray within the plane of a side meets it everywhere.
+            # They pass over NaN: a ray within the plane of a side meets it everywhere.
             near, far = np.fmax(near, np.fmin(a, b)), np.fmin(far, np.fmax(a, b))
         return np.flatnonzero(near <= far)
+
+
+def _at(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """(K, 3) float32 points of rays."""
+    return (origins + directions * distance[:, None]).astype(np.float32)
 
 
 def _body_of(vertices: np.ndarray, triangles: np.ndarray) -> _Convex | _Traced:

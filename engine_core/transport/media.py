@@ -157,7 +157,8 @@ class Media:
         """(C, N) float32 optical depth of rays, inf where they run on in the world's medium for ever.
 
         origins, directions : (N, 3) float32, of any length, in which ``reach`` is measured, a number or (N,).
-        inside : (N,) uint64, bits of open bodies in which rays begin that never cross them.
+        inside : (N,) uint64, the bodies in which rays begin; None if unknown, which is enough but for meshes
+            that are open.
         """
         directions, reach = _broadcast(origins, directions, reach)
         length = np.zeros((self.bodies + 1, len(origins)))

@@ -51,6 +51,8 @@ class AreaEmitters(Emitters):
     sampled.
     """
 
+    is_flat = True
+
     def __init__(self, lights: Sequence[AreaLight], frame: Frame) -> None:
         rows = []
         for light in lights:
@@ -96,8 +98,8 @@ class AreaEmitters(Emitters):
         )
         self._sized = np.arange(len(lights))
         self.centre = self._centre.astype(np.float64)
-        self.axis = np.array([row[1] for row in rows]).T
-        self.cos = np.array([1 / np.hypot(1, row[3]) for row in rows])
+        self.cone_axis = np.array([row[1] for row in rows]).T
+        self.cone_cos = np.array([1 / np.hypot(1, row[3]) for row in rows])
         # What a rectangle's corners need is enough for the ellipse within.
         self.reach = 0.5 * np.maximum(length(x + y), length(x - y))
         if len(lights) > FEW:
@@ -111,6 +113,9 @@ class AreaEmitters(Emitters):
         normalise = of(self._normalise, which)
         part = np.maximum(of(self._tan_half, which) - tan, 0) * normalise
         return np.where(normalise > 0, part, np.float32(1))
+
+    def falloff(self, which, cosine):
+        return cosine * self._grid(which, cosine)
 
     def _figures(self, which: np.ndarray | None, position: np.ndarray) -> _Figures:
         edge_x, edge_y, facing = (of(t, which) for t in (self._edge_x, self._edge_y, self._facing))

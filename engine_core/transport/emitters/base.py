@@ -58,21 +58,23 @@ class Emitters:
     size : (L,) float64, 0 where a light has none.
     casts_shadow : (L,) bool.
     centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; None for lights at infinity.
-    axis, cos : (3, L) and (L,) float64, cones that hold what shines from any point of a light; cos is at least
-        0, or -1 for a light that shines to all sides. None where no light of the group has one.
+    cone_axis, cone_cos : (3, L) and (L,) float64, round cones that hold what shines from points of a light;
+        the cosine is at least 0, or -1 for a light that shines to all sides. None if all do.
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
+    is_flat : what it sends falls with the cosine to `cone_axis`, as `falloff` says.
     is_background : what camera rays see of it is the background, which a transparent film leaves out.
     """
 
     centre: np.ndarray | None = None
     reach: np.ndarray | None = None
-    axis: np.ndarray | None = None
-    cos: np.ndarray | None = None
+    cone_axis: np.ndarray | None = None
+    cone_cos: np.ndarray | None = None
     at_infinity = False
     is_mesh = False
     is_point = False
     has_tint = False
+    is_flat = False
     is_background = False
 
     def __init__(self, strength: np.ndarray, size: np.ndarray, casts_shadow: Sequence[bool]) -> None:
@@ -89,6 +91,15 @@ class Emitters:
 
     def __len__(self) -> int:
         return self.strength.shape[1]
+
+    @property
+    def far_fluence(self) -> np.ndarray:
+        """(L,) fluence, the channels' mean: of finite lights times d^2, but for a cone, and `falloff`."""
+        return self._brightness
+
+    def falloff(self, which: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """(...) what flat lights ``which`` (...) send at an angle to the axis, over their strength."""
+        raise NotImplementedError
 
     @property
     def any_visible(self) -> bool:

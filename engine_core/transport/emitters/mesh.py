@@ -77,6 +77,11 @@ class MeshEmitters(Emitters):
         self._reach = far.astype(np.float32)
         self.centre, self.reach = self._centre.astype(np.float64), far
 
+    @property
+    def far_fluence(self):
+        # Seen from a random side, a flat light shows half of its area.
+        return np.float32(0.5) * self._brightness
+
     def sample(self, which, position, normal, w, u):
         triangle = self._chosen(which, w)
         corner = vectors_to(self._corner, triangle, position)

@@ -26,6 +26,7 @@ class Cone:
 
     inverse : (3, 3, L) float32, rows of the maps to the lights' own spaces, whose +Z a spot shines against.
     cos, sharpness : (L,) float32 of half the cone's angle, and 1 over the width of its edge in cosines.
+    round_axis, round_cos : (3, L) and (L,) float64, round cones that hold what the scale makes of these.
     """
 
     def __init__(self, lights: Sequence[Light]) -> None:
@@ -36,7 +37,7 @@ class Cone:
         self.inverse = np.zeros((3, 3, len(lights)), np.float32)
         self.cos = np.full(len(lights), -2.0, np.float32)
         self.sharpness = np.full(len(lights), 1e12, np.float32)
-        self.axis, self.cos = np.zeros((3, len(lights))), np.full(len(lights), -1.0)
+        self.round_axis, self.round_cos = np.zeros((3, len(lights))), np.full(len(lights), -1.0)
         for i, light in enumerate(lights):
             if spots[i]:
                 matrix = light.light_to_world[:3, :3]
@@ -46,7 +47,8 @@ class Cone:
                 cos = np.cos(light.angle / 2)
                 self.cos[i] = cos
                 self.sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
-                self.axis[:, i], self.cos[i] = _round_cone(matrix / np.abs(matrix).max(), light.angle / 2)
+                whole = _round_cone(matrix / np.abs(matrix).max(), light.angle / 2)
+                self.round_axis[:, i], self.round_cos[i] = whole
 
     def attenuation(self, which: np.ndarray | None, to_light: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """(M,) in [0, 1]: smoothstep of the cosine to the axis, in the light's own (scaled) space.
@@ -77,7 +79,7 @@ class _Points(Emitters):
         self._any_size = bool((self._radius > 0).any())
         self.cone = Cone(lights)
         if self.cone.any:
-            self.axis, self.cos = self.cone.axis, self.cone.cos
+            self.cone_axis, self.cone_cos = self.cone.round_axis, self.cone.round_cos
         sized = [light.radius > 0 for light in lights]
         self._sized = np.flatnonzero(sized)
         if self._sized.size > FEW:

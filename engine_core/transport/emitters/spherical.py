@@ -36,7 +36,8 @@ class SphericalRectangle:
         length_x, length_y = length(edge_x), length(edge_y)
         self._x, self._y, self._facing = edge_x / length_x, edge_y / length_y, facing
         z0 = dot(facing, centre)
-        self._height = np.maximum(-z0, np.float32(1e-30))
+        # Its square is a number of its own, too.
+        self._height = np.maximum(-z0, np.float32(1e-18))
         xc, yc = dot(self._x, centre), dot(self._y, centre)
         self._x0, self._x1 = xc - 0.5 * length_x, xc + 0.5 * length_x
         self._y0, self._y1 = yc - 0.5 * length_y, yc + 0.5 * length_y

@@ -29,6 +29,10 @@ class WorldEmitter(Emitters):
             return direction, np.full(u.shape[1], measure)
         return cosine_hemisphere(normal, u)
 
+    @property
+    def far_fluence(self):
+        return np.float32(4 * np.pi) * self._brightness
+
     def irradiance(self, position, normal, which=None):
         return np.full((1, position.shape[1]), np.float32(np.pi) * self._brightness[0])
 
@@ -97,6 +101,10 @@ class ImageWorldEmitter(Emitters):
         yield LightHits(
             np.arange(n), np.zeros(n, np.intp), np.ones(n, np.float32), self._map.radiance(directions)
         )
+
+    @property
+    def far_fluence(self):
+        return np.float32(4 * np.pi) * self._brightness
 
     def irradiance(self, position, normal, which=None):
         return np.full((1, position.shape[1]), np.float32(np.pi) * self._brightness[0])

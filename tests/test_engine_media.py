@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import box, floor, patch_camera, sphere
+from scenes import box, floor, sphere
 
 from engine_core import Camera, Material, Mesh, PointLight, RenderError, Scene, SunLight, Volume, World
 from engine_core.geometry import boundaries
@@ -16,6 +16,7 @@ from engine_core.geometry.boundaries import Boundaries
 from engine_core.geometry.frame import Frame
 from engine_core.shading.closures import Diffuse, Holdout, Mix, Transparent
 from engine_core.transport.direct_light import ALPHA, RGB, DirectLight, Pixels
+from engine_core.transport.light_choice import EveryLight
 from engine_core.transport.media import DIRECT, Media
 
 CAMERA = Camera.look_at((0, -6, 0), (0, 0, 0), 4, 4)
@@ -294,3 +295,126 @@ def test_many_bodies() -> None:
 
 def test_there_are_no_media_where_nothing_attenuates_or_glows() -> None:
     assert media_of(box(volume=0), box(), volumes=(Volume(),), world=0) is None
+
+
+# -- surfaces in fog -------------------------------------------------------------------------------
+
+
+def looked_at(scene: Scene, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
+    """What is seen straight ahead (channels,), and what surfaces there reflect (3,) besides."""
+    integrand = DirectLight(scene, **settings)
+    pixel = Pixels(np.zeros(1, int), np.zeros(1, int), np.zeros(1, int))
+    hits = integrand.first(pixel, np.full((2, 1, 1), 0.5, np.float32))
+    seen = hits.values[:, 0].astype(float)
+    reflected = np.zeros(3)
+    if len(hits.points):
+        u = np.full((integrand.rest_dimensions, 1, 1), 0.5, np.float32)
+        reflected = integrand.rest(hits, None, u, EveryLight()).radiance.sum(axis=1, dtype=float)
+    return seen, reflected
+
+
+def looking_down(*meshes: Mesh, **fields: Any) -> Scene:
+    """A camera 5 above the origin that sees what is 0.5 below it or further."""
+    camera = Camera.look_at((0, 0, 5), (0, 0, 0), 1, 1, up=(0, 1, 0), clip_start=0.5)
+    return Scene(camera, meshes, **fields)
+
+
+SIGMA = np.array([0.2, 0.5, 0.9])
+FOG = (Volume(SIGMA / 4, SIGMA * 3 / 4), Volume(0.1), Volume(SIGMA, emission=(1, 2, 3)))
+LAYER = box((-3, -3, 0), (3, 3, 1), volume=0, surface=False)  # it lies on the floor
+LAMP = PointLight(100.0, position=(1, 0, 2))
+IRRADIANCE = 100 / (4 * np.pi) / 5 * (2 / np.sqrt(5)) / np.pi
+
+
+@pytest.mark.parametrize("closure", (None, Diffuse(0.8)), ids=("constant", "shader"))
+def test_a_surface_in_fog_is_lit_and_seen_through_it(closure: Any) -> None:
+    material = Material(0.8, surface=closure)
+    scene = looking_down(floor(), LAYER, materials=(material,), lights=(LAMP,), volumes=FOG)
+    seen, reflected = looked_at(scene)
+    # A unit on the way up, and the lower half of the way to the lamp.
+    expected = 0.8 * IRRADIANCE * np.exp(-SIGMA * (1 + np.sqrt(5) / 2))
+    np.testing.assert_allclose(reflected, expected, rtol=1e-5)
+    np.testing.assert_array_equal(seen, [0, 0, 0, 1])
+    everywhere = replace(scene, world=World(volume=1))
+    expected *= np.exp(-0.1 * (4.5 + np.sqrt(5)))
+    np.testing.assert_allclose(looked_at(everywhere)[1], expected, rtol=1e-5)
+
+
+def test_no_sun_shines_through_the_worlds_medium() -> None:
+    scene = looking_down(floor(), LAYER, lights=(SunLight(2.0),), volumes=FOG)
+    np.testing.assert_allclose(looked_at(scene)[1], 0.8 * 2 / np.pi * np.exp(-SIGMA * 2), rtol=1e-5)
+    assert not looked_at(replace(scene, world=World(1.0, volume=1)))[1].any()
+
+
+def test_a_light_that_casts_no_shadow_shines_through_fog_as_well() -> None:
+    """As in Cycles."""
+    scene = looking_down(floor(), LAYER, lights=(replace(LAMP, casts_shadow=False),), volumes=FOG)
+    np.testing.assert_allclose(looked_at(scene)[1], 0.8 * IRRADIANCE * np.exp(-SIGMA), rtol=1e-5)
+
+
+@pytest.mark.parametrize("closure", (None, Diffuse(0.8)), ids=("constant", "shader"))
+def test_background_and_alpha_behind_fog(closure: Any) -> None:
+    material = Material(0.8, surface=closure)
+    behind = floor(1, 9)  # the camera, or there would be no surface to have the material
+    scene = looking_down(LAYER, behind, materials=(material,), world=World((1, 2, 3)), volumes=FOG)
+    passed = np.exp(-SIGMA)
+    np.testing.assert_allclose(looked_at(scene)[0], [*passed * (1, 2, 3), 1], rtol=1e-6)
+    np.testing.assert_allclose(looked_at(scene, transparent=True)[0], [0, 0, 0, 1 - passed.mean()], rtol=1e-5)
+    glowing = replace(scene, meshes=(replace(LAYER, volume=2), behind))
+    glow = np.array([1, 2, 3]) * (1 - passed) / SIGMA
+    np.testing.assert_allclose(looked_at(glowing)[0], [*passed * (1, 2, 3) + glow, 1], rtol=1e-6)
+    seen = looked_at(glowing, transparent=True)[0]
+    np.testing.assert_allclose(seen, [*glow, 1 - passed.mean()], rtol=1e-5)
+    # Whatever lies behind is black in fog without end.
+    np.testing.assert_array_equal(looked_at(replace(scene, world=World(1.0, volume=1)))[0], [0, 0, 0, 1])
+
+
+def test_a_holdout_in_fog_leaves_the_fogs_alpha() -> None:
+    passed = np.exp(-SIGMA)
+    held = looking_down(floor(holdout=True), LAYER, volumes=FOG)
+    by_shader = looking_down(floor(), LAYER, volumes=FOG, materials=(Material(surface=Holdout()),))
+    for scene in (held, by_shader):
+        np.testing.assert_allclose(looked_at(scene)[0], [0, 0, 0, 1 - passed.mean()], atol=1e-6)
+
+
+def test_layers_of_alpha_in_fog() -> None:
+    clear, tint = 0.75, np.array([0.9, 0.5, 0.3])
+    veil = Material(surface=Mix(1 - clear, Transparent(tint), Diffuse(0.6)))
+    sheets = [floor(0.2, z, materials=1) for z in (3.0, 2.0)]
+    scene = looking_down(
+        floor(), *sheets, box((-3, -3, -1), (3, 3, 2.5), volume=2, surface=False),
+        materials=(Material(0.8), veil), lights=(PointLight(100.0, position=(1, 0, 4)),), volumes=FOG,
+    )  # fmt: skip
+    through = clear * tint
+    seen, reflected = looked_at(scene)
+
+    def lit(z: float, albedo: float, inside: float) -> np.ndarray:
+        square = 1 + (4 - z) ** 2
+        share = inside / (4 - z)
+        return albedo * 100 / (4 * np.pi**2) * (4 - z) / square**1.5 * np.exp(-SIGMA * share * np.sqrt(square))
+
+    # The way from the floor to the lamp passes beside the sheets.
+    layers = lit(3, 0.15, 0) + through * np.exp(-0.5 * SIGMA) * lit(2, 0.15, 0.5)
+    layers = layers + through**2 * np.exp(-2.5 * SIGMA) * lit(0, 0.8, 2.5)
+    np.testing.assert_allclose(reflected, layers, rtol=1e-4)
+    glow = np.array([1, 2, 3]) / SIGMA
+    glow = through * glow * (1 - np.exp(-0.5 * SIGMA)) + through**2 * glow * (
+        np.exp(-0.5 * SIGMA) - np.exp(-2.5 * SIGMA)
+    )
+    np.testing.assert_allclose(seen, [*glow, 1], rtol=1e-5)
+    # Without the floor: what is absorbed, and what of the sheets is opaque.
+    open_air = replace(scene, meshes=scene.meshes[1:])
+    alpha = 1 - (through**2 * np.exp(-3.5 * SIGMA)).mean()
+    assert looked_at(open_air, transparent=True)[0][ALPHA] == pytest.approx(alpha, rel=1e-5)
+
+
+@pytest.mark.parametrize("closure", (None, Diffuse(0.8)), ids=("constant", "shader"))
+def test_a_lamp_is_seen_through_the_fog_before_it(closure: Any) -> None:
+    lamp = PointLight(100.0, position=(0, 0, 2), radius=0.5, visible_to_camera=True)
+    scene = looking_down(
+        floor(), box((-3, -3, -1), (3, 3, 3), volume=0, surface=False),
+        materials=(Material(0.8, surface=closure),), lights=(lamp,), volumes=FOG,
+    )  # fmt: skip
+    clear = looked_at(replace(scene, meshes=(floor(),)))[0][RGB]
+    assert clear.min() > 0
+    np.testing.assert_allclose(looked_at(scene)[0][RGB], clear * np.exp(-0.5 * SIGMA), rtol=1e-4)

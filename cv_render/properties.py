@@ -228,6 +228,11 @@ class CVRenderViewLayerSettings(bpy.types.PropertyGroup):
     )
 
 
+def _changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """Have the light evaluated again: Blender does that by itself for changes in panels, not for scripts'."""
+    settings.id_data.update_tag()
+
+
 class CVRenderLightSettings(bpy.types.PropertyGroup):
     """What makes a spot light a laser."""
 
@@ -236,6 +241,7 @@ class CVRenderLightSettings(bpy.types.PropertyGroup):
         description="A beam of parallel light that ends at the first surface, instead of a cone. Its power is "
         "that of the whole beam. Other engines show the spot",
         options=set(),
+        update=_changed,
     )
     beam_radius: FloatProperty(
         name="Beam Radius",
@@ -246,6 +252,7 @@ class CVRenderLightSettings(bpy.types.PropertyGroup):
         precision=4,
         unit="LENGTH",
         subtype="DISTANCE",
+        update=_changed,
     )
     length: FloatProperty(
         name="Length",
@@ -255,26 +262,31 @@ class CVRenderLightSettings(bpy.types.PropertyGroup):
         soft_max=1000.0,
         unit="LENGTH",
         subtype="DISTANCE",
+        update=_changed,
     )
     beam: BoolProperty(
         name="Beam",
         description="The beam itself, as fog scatters it to the camera",
         default=True,
+        update=_changed,
     )
     spot: BoolProperty(
         name="Spot",
         description="The spot of light on the surface where the beam ends",
         default=True,
+        update=_changed,
     )
     in_fog: BoolProperty(
         name="Light in Fog",
         description="Light that fog scatters out of the beam, and once more to the camera: the beam's glow",
         default=True,
+        update=_changed,
     )
     on_surfaces: BoolProperty(
         name="Light on Surfaces",
         description="Light that fog scatters out of the beam onto surfaces",
         default=True,
+        update=_changed,
     )
 
 

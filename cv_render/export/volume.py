@@ -107,26 +107,24 @@ class Fog:
         region : None has what varies left out.
         """
         problems, terms = list(self.problems), self.terms
-        if self.varies:
-            problems.append(
-                "varies from place to place, which is not supported yet: "
-                + ("it is left out where it does" if region is None else "its mean is drawn")
-            )
-            asked = {name.partition(":") for name in attributes_of(tuple(terms.values()))}
-            for kind, colon, layer in sorted(asked):
-                if colon:
-                    problems.append(f'{_KINDS.get(kind, kind)} "{layer}" is 0 inside of meshes, as in Cycles')
-        points = region.points() if region else None
+        average = Average(region)
         rows: dict[float, np.ndarray] = {}
         for coefficient, anisotropy in terms.scattering:
-            sigma, g = _mean(coefficient, points, 3), _mean(anisotropy, points, 1)
-            if sigma is not None and g is not None and (sigma > 0).any():
+            sigma, g = average.of(coefficient, 3), average.of(anisotropy, 1)
+            if (sigma > 0).any():
                 g = float(np.clip(g[0], -1, 1))
                 rows[g] = rows.get(g, 0) + np.maximum(sigma, 0)
         absorption, emission = (
-            sum((mean for value in values if (mean := _mean(value, points, 3)) is not None), np.zeros(3))
+            sum((average.of(value, 3) for value in values), np.zeros(3))
             for values in (terms.absorption, terms.emission)
         )
+        if average.varied:
+            what = "it is left out where it does" if region is None else "its mean is drawn"
+            problems.append(f"varies from place to place, which is not supported yet: {what}")
+        for name in sorted(attributes_of(tuple(terms.values()))):
+            kind, colon, layer = name.partition(":")
+            if colon:
+                problems.append(f'{_KINDS.get(kind, kind)} "{layer}" is 0 inside of meshes, as in Cycles')
         if (absorption < 0).any() or (emission < 0).any():
             problems.append("absorbs or emits less than nothing, which is nothing")
         if not (rows or (absorption > 0).any() or (emission > 0).any()):
@@ -144,17 +142,25 @@ class Fog:
 _KINDS = {"uv": "UV map", "color": "colour attribute", "attribute": "attribute"}
 
 
-def _mean(value: Any, points: ShadingPoints | None, channels: int) -> np.ndarray | None:
-    """(channels,) float64 mean; None of what varies if there are no points."""
-    if not isinstance(value, Value):
-        array = np.asarray(value, np.float64)
-    elif points is None:
-        return None
-    else:
-        array = np.asarray(value_at(value, points), np.float64)
-    array = np.nan_to_num(array, posinf=0, neginf=0)
-    array = array.reshape(1, -1) if array.ndim < 2 else array
-    return np.broadcast_to(array.mean(axis=1), channels)
+class Average:
+    """Means over a region; nothing for what varies if there is none.
+
+    varied : whether anything has differed from place to place so far.
+    """
+
+    def __init__(self, region: Region | None) -> None:
+        self._points = region.points() if region else None
+        self.varied = False
+
+    def of(self, value: Any, channels: int) -> np.ndarray:
+        """(channels,) float64."""
+        if isinstance(value, Value) and self._points is None:
+            self.varied = True
+            return np.zeros(channels)
+        array = np.asarray(value_at(value, self._points), np.float64)
+        array = np.nan_to_num(array.reshape(1, -1) if array.ndim < 2 else array, posinf=0, neginf=0)
+        self.varied |= bool((array != array[:, :1]).any())
+        return np.broadcast_to(array.mean(axis=1), channels)
 
 
 def read_fog(datablock: Any, messages: Messages, images: dict[int, ImagePixels] | None = None) -> Fog | None:

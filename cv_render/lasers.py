@@ -34,7 +34,12 @@ class CVRENDER_OT_laser_add(bpy.types.Operator, AddObjectHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     power: FloatProperty(
-        name="Power", description="Radiant flux of the beam", default=10.0, min=0.0, soft_max=1000.0, unit="POWER"
+        name="Power",
+        description="Radiant flux of the beam",
+        default=10.0,
+        min=0.0,
+        soft_max=1000.0,
+        unit="POWER",
     )
 
     @classmethod

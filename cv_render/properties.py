@@ -238,8 +238,8 @@ class CVRenderLightSettings(bpy.types.PropertyGroup):
 
     is_laser: BoolProperty(
         name="Laser",
-        description="A beam of parallel light that ends at the first surface, instead of a cone. Its power is "
-        "that of the whole beam. Other engines show the spot",
+        description="A beam of parallel light that ends at the first surface, instead of a cone. Its power "
+        "is that of the whole beam. Other engines show the spot",
         options=set(),
         update=_changed,
     )
@@ -291,7 +291,7 @@ class CVRenderLightSettings(bpy.types.PropertyGroup):
 
 
 def is_laser(light: Any) -> bool:
-    """Whether a Blender light is drawn as a laser; a switch left on a light of another type counts for nothing."""
+    """Whether a light is drawn as a laser: the switch counts for spot lights alone."""
     return light.type == "SPOT" and light.cv_render.is_laser
 
 

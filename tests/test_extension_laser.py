@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lasers from Blender: made by the operator, exported, animated, duplicated, drawn, and gone without a trace."""
+"""Lasers from Blender: made, exported, animated, duplicated, drawn, and gone without a trace."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def scene(cv: ModuleType) -> Any:
 def laser(scene: Any) -> Any:
     import bpy
 
-    assert bpy.ops.object.cv_render_laser_add(location=(1, 2, 3), rotation=(0, math.radians(-90), 0)) == {"FINISHED"}
+    assert bpy.ops.object.cv_render_laser_add(location=(1, 2, 3), rotation=(0, math.radians(-90), 0)) == {
+        "FINISHED"
+    }
     return bpy.context.object
 
 
@@ -165,7 +167,8 @@ class Blender:
     def __getattr__(self, name):
         return app if name == "app" else getattr(bpy, name)
 cv.lasers.bpy = Blender()
-menu = lambda: [f for f in bpy.types.VIEW3D_MT_light_add._dyn_ui_initialize() if f.__module__ == cv.lasers.__name__]
+drawn = bpy.types.VIEW3D_MT_light_add._dyn_ui_initialize
+menu = lambda: [f for f in drawn() if f.__module__ == cv.lasers.__name__]
 assert len(menu()) == 1
 cv.lasers.unregister()
 assert not menu() and not hasattr(bpy.types, "OBJECT_OT_cv_render_laser_add")

@@ -100,10 +100,12 @@ def test_absorption_absorbs_what_its_colour_lacks(cv: ModuleType, scene: Any) ->
 
 
 def test_principled_volume(cv: ModuleType, scene: Any) -> None:
-    colours = {"Color": (0.5, 0.2, 0.9, 1), "Absorption_Color": (0.25, 0, 1, 1), "Emission_Color": (1, 0.5, 0, 1)}
-    found = only(
-        cv, scene, fog(PRINCIPLED, Density=0.4, Anisotropy=-0.3, Emission_Strength=3.0, **colours)
-    )
+    colours = {
+        "Color": (0.5, 0.2, 0.9, 1),
+        "Absorption_Color": (0.25, 0, 1, 1),
+        "Emission_Color": (1, 0.5, 0, 1),
+    }
+    found = only(cv, scene, fog(PRINCIPLED, Density=0.4, Anisotropy=-0.3, Emission_Strength=3.0, **colours))
     assert close(found.scattering, [(0.2, 0.08, 0.36)]) and close(found.anisotropy, [-0.3])
     # (1 - colour) (1 - sqrt(absorption colour)) density.
     assert close(found.absorption, (0.5 * 0.5 * 0.4, 0.8 * 0.4, 0))
@@ -112,9 +114,7 @@ def test_principled_volume(cv: ModuleType, scene: Any) -> None:
 
 def test_blackbody_emission(cv: ModuleType, scene: Any) -> None:
     strength, kelvin = 0.5, 1500.0
-    found = only(
-        cv, scene, fog(PRINCIPLED, Density=0, Blackbody_Intensity=strength, Temperature=kelvin)
-    )
+    found = only(cv, scene, fog(PRINCIPLED, Density=0, Blackbody_Intensity=strength, Temperature=kelvin))
     radiance = 5.670373e-8 * 1e-6 / np.pi * (1 - strength + strength * kelvin**4)
     luminance = found.emission @ (0.2126, 0.7152, 0.0722)
     assert luminance == pytest.approx(radiance, rel=0.05)
@@ -133,7 +133,9 @@ def test_coefficients_are_taken_as_they_are(cv: ModuleType, scene: Any) -> None:
 
 
 def test_emission_and_colours_glow(cv: ModuleType, scene: Any) -> None:
-    assert close(only(cv, scene, fog("ShaderNodeEmission", Color=(1, 0.5, 0, 1), Strength=4)).emission, (4, 2, 0))
+    assert close(
+        only(cv, scene, fog("ShaderNodeEmission", Color=(1, 0.5, 0, 1), Strength=4)).emission, (4, 2, 0)
+    )
 
 
 def test_a_colour_is_emission(cv: ModuleType, scene: Any) -> None:
@@ -264,9 +266,7 @@ def test_an_object_is_parted_where_its_materials_have_volumes(cv: ModuleType, sc
     mesh.update()
     bpy.context.view_layer.update()
     exported, messages = export(cv)
-    found = [
-        (len(mesh.triangles), len(mesh.vertices), mesh.volume, mesh.surface) for mesh in exported.meshes
-    ]
+    found = [(len(mesh.triangles), len(mesh.vertices), mesh.volume, mesh.surface) for mesh in exported.meshes]
     assert found == [(4, 8, 0, False), (2, 4, 1, False), (6, 8, -1, True)]
     assert [exported.materials[int(np.max(mesh.materials))].name for mesh in exported.meshes] == [
         "Fog", "Dark", "Wall"
@@ -349,7 +349,11 @@ def test_what_a_mesh_has_no_values_of_inside(cv: ModuleType, scene: Any) -> None
 def test_nodes_that_nobody_knows_have_the_volume_left_out(cv: ModuleType, scene: Any) -> None:
     material = fog(SCATTER)
     link(
-        material, node(material, "ShaderNodeTexNoise"), material.node_tree.nodes["Volume Scatter"], 0, "Density"
+        material,
+        node(material, "ShaderNodeTexNoise"),
+        material.node_tree.nodes["Volume Scatter"],
+        0,
+        "Density",
     )
     add_cube(scene, 1, material)
     feed(scene.world, node(scene.world, "ShaderNodeBsdfTransparent"))

@@ -24,7 +24,7 @@ BLACK = np.zeros(3)
 class Materials:
     """The materials that objects use, each exported once; number 0 is the grey of objects without any.
 
-    fogs : of each, what its Volume is fed with, or None. surfaces : False of those that are nothing but volume.
+    fogs : of each, what its Volume is fed with, or None. surfaces : of each, False if it is volume alone.
     """
 
     def __init__(self, messages: Messages) -> None:

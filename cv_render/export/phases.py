@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The phase functions of Cycles as Henyey-Greenstein's, by their mean cosine, which is what that is made of."""
+"""The phase functions of Cycles as Henyey-Greenstein's of the same mean cosine."""
 
 from __future__ import annotations
 

@@ -85,7 +85,9 @@ class Objects:
         elif kind == "VOLUME":
             slot = obj.active_material
             material = f' of material "{slot.name}"' if slot else ""
-            self._messages.add(named(obj), f"OpenVDB volumes are not supported yet, its fog{material} is left out")
+            self._messages.add(
+                named(obj), f"OpenVDB volumes are not supported yet, its fog{material} is left out"
+            )
         elif kind in NOT_YET:
             self._messages.add(named(obj), f"{NOT_YET[kind]} not supported yet")
 
@@ -169,7 +171,9 @@ class Objects:
         """Name the lights that should not light fog, if there is any."""
         if self.volumes:
             for owner in self._without_fog:
-                self._messages.add(owner, "is invisible to volume scatter, which is not supported: it lights fog")
+                self._messages.add(
+                    owner, "is invisible to volume scatter, which is not supported: it lights fog"
+                )
 
     def _flags(self, obj: Any) -> tuple[bool, bool]:
         """(holdout, indirect only), of the object itself or of its collections in this view layer."""

@@ -65,7 +65,7 @@ class Region:
         return cls(low, high, np.array(matrix, np.float64))
 
     def points(self) -> ShadingPoints:
-        """A lattice in the box. UV maps, colours and other attributes of meshes are 0 inside, as in Cycles."""
+        """A lattice in the box; UV maps and other attributes of meshes are 0 inside, as in Cycles."""
         axis = (np.arange(POINTS_EACH_WAY, dtype=np.float32) + np.float32(0.5)) / POINTS_EACH_WAY
         generated = np.stack([a.ravel() for a in np.meshgrid(axis, axis, axis)])
         inside = self.low[:, None] + generated * (self.high - self.low)[:, None]
@@ -75,7 +75,9 @@ class Region:
             "generated": generated,
             "object": inside.astype(np.float32),
             "world": world,
-            "object_to_world": np.repeat(self.matrix[:3, :3].T.reshape(9, 1).astype(np.float32), count, axis=1),
+            "object_to_world": np.repeat(
+                self.matrix[:3, :3].T.reshape(9, 1).astype(np.float32), count, axis=1
+            ),
         }
         up = np.zeros((3, count), np.float32)
         up[2] = 1
@@ -248,7 +250,9 @@ def _sum(nodes: _Nodes, node: Node, weight: Any) -> Terms:
         factor = compute(saturate, node.graph.value(factors[0]))
         if node.graph.unknown:
             what = " and ".join(dict.fromkeys(node.graph.unknown))
-            nodes.problems.append(f"{what}, not supported yet, feeds {described(node.socket)}: halves are mixed")
+            nodes.problems.append(
+                f"{what}, not supported yet, feeds {described(node.socket)}: halves are mixed"
+            )
             factor = 0.5
         weights = [compute(lambda w, f: w * (1 - f), weight, factor), compute(np.multiply, weight, factor)]
     terms = Terms()

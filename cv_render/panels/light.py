@@ -67,7 +67,9 @@ class CVRENDER_LIGHT_PT_beam_shape(LightPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and context.light.type in {"SPOT", "AREA"} and not is_laser(context.light)
+        return (
+            super().poll(context) and context.light.type in {"SPOT", "AREA"} and not is_laser(context.light)
+        )
 
     def draw(self, context: bpy.types.Context) -> None:
         light = context.light

@@ -63,6 +63,17 @@ class CameraRays:
         points += (self._forward * self.clip_start).astype(np.float32)
         return points, self._forward.astype(np.float32)[None]
 
+    def exactly(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and directions (3, ...) float64 at places of the picture, in pixels; without a lens."""
+        place = (a[(slice(None),) + (None,) * np.ndim(x)] for a in (self._corner, self._step_x, self._step_y))
+        corner, step_x, step_y = place
+        forward = self._forward[(slice(None),) + (None,) * np.ndim(x)]
+        points = corner + step_x * x + step_y * y
+        if self._perspective:
+            points = points + forward
+            return points * self.clip_start, points
+        return points + forward * self.clip_start, np.broadcast_to(forward, points.shape)
+
     def image_of(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where positions (3, L) are in the picture: (2, L) float64 in pixels of the whole frame, and their
         depth (L,) along the view axis; without meaning where that is not above 0.

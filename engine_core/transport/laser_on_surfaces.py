@@ -19,7 +19,7 @@ from threading import Lock
 
 import numpy as np
 
-from ..geometry.vectors import dot, inverse_length, take
+from ..geometry.vectors import dot, take
 from ..integration.integrand import FirstStage
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _inset
@@ -30,13 +30,45 @@ from .shadows import Shadows
 
 
 @dataclass(eq=False)
-class _Towards:
+class Towards:
     """Points of a beam, as `Shadows` wants them."""
 
     at: np.ndarray
     to_light: np.ndarray
     at_infinity: bool = False
     is_mesh: bool = True
+
+
+class Reflection:
+    """What the points of camera hits reflect."""
+
+    def __init__(self, reflectance: np.ndarray, material: np.ndarray) -> None:
+        """reflectance : (3, number of materials), ``material`` : of each triangle, where all are Lambertian."""
+        self._lambert = (np.asarray(reflectance) / np.pi).astype(np.float32)
+        self._material = material
+
+    def of(self, hits: CameraHits, at: np.ndarray, direction: np.ndarray, value: np.ndarray) -> None:
+        """Multiply ``value`` (3, N) with BSDF and cosine of points ``at`` (N,), for light from unit
+        ``direction`` (3, N) float32, and with what fog leaves on the way to the camera.
+        """
+        if hits.slots is None:
+            value *= take(self._lambert, self._material.take(hits.points.triangle.take(at)))
+            value *= np.maximum(dot(take(hits.points.normal, at), direction), 0)
+            if hits.throughput is not None:
+                value *= take(hits.throughput, at)
+            return
+        reflected = np.zeros_like(value)
+        for slot in hits.slots:
+            lanes, row = slot.of(at)
+            part, _ = slot.lobe.evaluate(row, direction if lanes is None else take(direction, lanes))
+            if slot.sampled:
+                # A mirror shows no light that has no size.
+                part *= ~slot.lobe.is_mirror(row)
+            if lanes is None:
+                reflected += part
+            else:
+                reflected[:, lanes] += part
+        value *= reflected
 
 
 class LaserOnSurfaces:
@@ -52,20 +84,15 @@ class LaserOnSurfaces:
         self,
         lasers: Lasers,
         stage: CameraStage,
-        reflectance: np.ndarray,
-        material: np.ndarray,
+        reflection: Reflection,
         shadows: Shadows,
         media: Media,
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        """reflectance : (3, number of materials), ``material`` : of each triangle, where all are Lambertian.
-
-        check : called before every batch; may raise, to give up.
-        """
+        """check : called before every batch; may raise, to give up."""
         self.stretches = [s for s in lasers.stretches if s.laser.on_surfaces]
         self._stage, self._shadows, self._media, self._check = stage, shadows, media, check
-        self._lambert = (np.asarray(reflectance) / np.pi).astype(np.float32)
-        self._material = material
+        self._reflection = reflection
         self._counting = Lock()
         self.counts = Counter(dict.fromkeys((CAMERA, SHADOW, CROSSING, NON_FINITE), 0))
         self.screen_dimensions = stage.dimensions
@@ -98,7 +125,8 @@ class LaserOnSurfaces:
             value = scattered(stretch.scattering, *halves(-dot(direction, stretch.direction[:, None])))
             value *= stretch.transmittance(v) * stretch.power[:, None] * weight
             value = value.astype(np.float32)
-            self._reflect(hits, at, direction.astype(np.float32), value)
+            unit = direction.astype(np.float32)
+            self._reflection.of(hits, at, unit, value)
             lit = np.flatnonzero(value.any(axis=0))
             good = np.isfinite(value[:, lit]).all(axis=0)
             if not good.all():
@@ -108,8 +136,8 @@ class LaserOnSurfaces:
             where, vector = at.take(lit), take(to_beam, lit).astype(np.float32)
             value = take(value, lit)
             if stretch.casts_shadow:
-                cosine = dot(take(points.normal, where), take(direction, lit).astype(np.float32))
-                arrive, part, crossings = self._shadows.arriving(points, _Towards(where, vector), cosine)
+                cosine = dot(take(points.normal, where), take(unit, lit))
+                arrive, part, crossings = self._shadows.arriving(points, Towards(where, vector), cosine)
                 with self._counting:
                     self.counts[SHADOW] += len(where)
                     self.counts[CROSSING] += crossings
@@ -124,30 +152,6 @@ class LaserOnSurfaces:
             for row, channel in zip(out, value, strict=True):
                 row += np.bincount(which.take(lit), channel, len(row)).astype(np.float32)
         return None, out
-
-    def _reflect(self, hits: CameraHits, at: np.ndarray, direction: np.ndarray, value: np.ndarray) -> None:
-        """Multiply ``value`` (3, N) with the BSDF and the cosine of points ``at`` (N,) for light from
-        ``direction`` (3, N)."""
-        if hits.slots is None:
-            cosine = np.maximum(dot(take(hits.points.normal, at), direction), 0)
-            value *= take(self._lambert, self._material.take(hits.points.triangle.take(at)))
-            value *= cosine
-            if hits.throughput is not None:
-                value *= take(hits.throughput, at)
-            return
-        direction *= inverse_length(direction)
-        reflected = np.zeros_like(value)
-        for slot in hits.slots:
-            lanes, row = slot.of(at)
-            part, _ = slot.lobe.evaluate(row, direction if lanes is None else take(direction, lanes))
-            if slot.sampled:
-                # A mirror shows no light that has no size.
-                part *= ~slot.lobe.is_mirror(row)
-            if lanes is None:
-                reflected += part
-            else:
-                reflected[:, lanes] += part
-        value *= reflected
 
 
 def _of_each(hits: CameraHits, lane: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frame import Frame
+from ..geometry.warps import basis
 from ..scene import Laser, Scene
 from . import phase
 from .media import Media
@@ -26,7 +27,7 @@ MOST = 64
 DEEPEST = 40.0
 """Optical depth at which a beam or a ray ends: what comes from beyond is less than 1e-17."""
 
-THINNEST = 1e-6
+THINNEST = 1e-5
 """Radius of a beam in the frame's units at least."""
 
 
@@ -63,7 +64,8 @@ class Stretch:
 class Beam:
     """A whole beam in the frame's units: where it starts, and how far its light gets at most.
 
-    power : (3,) flux. ends : (J,) distances of the surfaces that it meets, the last of which may block it.
+    power : (3,) flux. inside : bits of the bodies in which it starts.
+    ends : (3, M) float64 points each, where some of its rays meet surfaces; apart from one another.
     """
 
     origin: np.ndarray
@@ -71,7 +73,8 @@ class Beam:
     length: float
     radius: float
     power: np.ndarray
-    ends: np.ndarray
+    inside: np.uint64
+    ends: list[np.ndarray]
     casts_shadow: bool
     laser: Laser
 
@@ -123,10 +126,15 @@ def _traced(
         left = np.concatenate([left, part], axis=1)
         if ends.size and not part[:, -1].any():
             length = float(ends[-1])
-    beam = Beam(origin, direction, length, radius, power, ends, laser.casts_shadow, laser)
-    if media is None or not length > 0:
+    inside, fog = np.uint64(0), None
+    if media is not None:
+        fog, inside = media.along(row, along, length), media.along(row, along, 0.0).state[0]
+    # Beside its axis a beam may pass what blocks it there.
+    whole = laser.length * frame.scale
+    met = _ends(origin, direction, radius, whole, shadows)
+    beam = Beam(origin, direction, whole, radius, power, inside, met, laser.casts_shadow, laser)
+    if fog is None or not length > 0:
         return beam, []
-    fog = media.along(row, along, length)
     stretches = []
     cuts = np.concatenate([[0.0], ends, [np.inf]])
     for k in range(len(fog.ray)):
@@ -158,9 +166,25 @@ def _traced(
     return beam, stretches
 
 
-def scattered(
-    components: list[tuple[np.ndarray, float]], less: np.ndarray, more: np.ndarray
-) -> np.ndarray:
+def _ends(
+    origin: np.ndarray, direction: np.ndarray, radius: float, length: float, shadows: Shadows
+) -> list[np.ndarray]:
+    """`Beam.ends`, from rays about its axis and along its rim."""
+    side, other = (np.ravel(a) for a in basis(direction[:, None]))
+    along, met, points = direction.astype(np.float32)[None], [], []
+    for ring, count in ((0.0, 1), (0.6, 8), (1.0, 32)):
+        for angle in 2 * np.pi * np.arange(count) / count:
+            start = origin + radius * ring * (np.cos(angle) * side + np.sin(angle) * other)
+            distances, _ = shadows.met(start.astype(np.float32)[None], along, length)
+            met.append(distances)
+            points.append(start[:, None] + distances * direction[:, None])
+    met, points = np.concatenate(met), np.concatenate(points, axis=1)
+    order = np.argsort(met)
+    cuts = np.flatnonzero(np.diff(met[order]) > 4 * radius) + 1
+    return [points[:, part] for part in np.split(order, cuts)] if met.size else []
+
+
+def scattered(components: list[tuple[np.ndarray, float]], less: np.ndarray, more: np.ndarray) -> np.ndarray:
     """(3, N) scattering coefficient times phase function, for half angles as in `phase.value`."""
     return sum(sigma * phase.value(less, more, g) for sigma, g in components)
 

@@ -7,11 +7,18 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from .image.film import VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
 from .scene import Scene
 from .settings import Settings
 from .transport.direct_light import DirectLight
+from .transport.ray_rule import AlongRay, ScatteredAlongRay
+from .transport.single_scattering import SingleScattering
+
+
+SHADOW_RAYS = 4
+"""Of a camera ray, that together take as long as a sample of a surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,4 +55,22 @@ def parts_of(
 
     check : called before every batch; may raise, to give up.
     """
-    return []
+    parts: list[Part] = []
+    if surfaces.media is None:
+        return parts
+    scattering = SingleScattering(
+        surfaces.frame,
+        surfaces.media,
+        surfaces.lights,
+        surfaces.surfaces,
+        surfaces.shader,
+        surfaces.stage.rays,
+        settings,
+    )
+    if scattering.sizeless.size:
+        whole = ScatteredAlongRay(scattering, check=check)
+        cost = max(1, whole.shadow_rays / SHADOW_RAYS)
+        parts.append(
+            Part("fog lit by points", VOLUME, whole, 1, whole, AlongRay(whole.shadow_rays), whole, 1, cost)
+        )
+    return parts

@@ -96,7 +96,7 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size. channels, transparent, sees : as in `CameraStage`.
-    media : the fogs of the scene, None for none.
+    media : the fogs of the scene, None for none. frame, shader, surfaces, stage, shadows : what else it is made of.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
@@ -115,14 +115,14 @@ class DirectLight:
         crossings : how many transparent surfaces a ray may cross.
         """
         times = [perf_counter()]
-        frame = frame_of(scene)
+        self.frame = frame = frame_of(scene)
         triangles, self.messages = gather_triangles([mesh for mesh in scene.meshes if mesh.surface], frame)
         self.media = Media.of(scene, frame)
         times.append(perf_counter())
-        shader = SurfaceShader(scene.materials, triangles, frame)
+        self.shader = shader = SurfaceShader(scene.materials, triangles, frame)
         transmits = shader.transmits
         times.append(perf_counter())
-        self._surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
+        self.surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
         times.append(perf_counter())
         materials = shader.with_mean_emission(scene.materials)
         groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame)
@@ -132,16 +132,16 @@ class DirectLight:
         stages = ("triangles", "materials", "Embree", "emitters")
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
         self.chooses_triangle, self.only_points = self.lights.chooses_triangle, self.lights.only_points
-        self._stage = CameraStage(
-            scene, frame, self._surfaces, shader, groups, transparent, normals, crossings, self.media
+        self.stage = CameraStage(
+            scene, frame, self.surfaces, shader, groups, transparent, normals, crossings, self.media
         )
-        self.channels, self.transparent = self._stage.channels, self._stage.transparent
-        self.sees = self._stage.sees
+        self.channels, self.transparent = self.stage.channels, self.stage.transparent
+        self.sees = self.stage.sees
         self.lambertian = shader.lambertian
-        self._shadows = Shadows(self._surfaces, shader, crossings, self.media)
+        self.shadows = Shadows(self.surfaces, shader, crossings, self.media)
         self._weighed = WeighedLights(self.lights)
         self.sampling = sampling
-        self.screen_dimensions = self._stage.dimensions
+        self.screen_dimensions = self.stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
         self._one_material = len(materials) == 1
@@ -173,8 +173,8 @@ class DirectLight:
         u = u.astype(np.float32)
         if self.screen_dimensions == 4:
             u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
-        origins, directions = self._stage.rays.rays(cell_x * CELL, cell_y * CELL, u)
-        points, _ = self._surfaces.first_hit(origins, directions, self._stage.rays.reach)
+        origins, directions = self.stage.rays.rays(cell_x * CELL, cell_y * CELL, u)
+        points, _ = self.surfaces.first_hit(origins, directions, self.stage.rays.reach)
         found = np.zeros(across.shape, bool)
         position, normal = np.zeros((2, 3, *across.shape), np.float32)
         lanes = slice(None) if points.lane is None else points.lane
@@ -187,7 +187,7 @@ class DirectLight:
 
     def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
-        hits = self._stage.hit(pixels, u)
+        hits = self.stage.hit(pixels, u)
         if len(self.lights) > WEIGHED:
             rows = np.repeat(pixels.cell, u.shape[2])
             hits.cell = rows if hits.points.lane is None else rows.take(hits.points.lane)
@@ -255,7 +255,7 @@ class DirectLight:
         if self._one_material:
             radiance = (self._reflectance * strength) * weight
         else:
-            material = self._surfaces.triangles.material.take(points.triangle.take(at))
+            material = self.surfaces.triangles.material.take(points.triangle.take(at))
             radiance = take(self._reflectance, material) * strength
             radiance *= weight
         if passed is not None:
@@ -336,13 +336,13 @@ class DirectLight:
         """
         casts_shadow = self.lights.casts_shadow
         if casts_shadow.all():
-            arrive, passed, crossings = self._shadows.arriving(points, samples, cosine)
+            arrive, passed, crossings = self.shadows.arriving(points, samples, cosine)
             return arrive, passed, Counter({kind: len(cosine), CROSSING: crossings, NON_FINITE: bad})
         casts = np.broadcast_to(
             casts_shadow.take(0 if samples.light is None else samples.light), cosine.shape
         )
         lanes = np.flatnonzero(casts)
-        arrive, passed, crossings = self._shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
+        arrive, passed, crossings = self.shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
         counts = Counter({kind: len(lanes), CROSSING: crossings, NON_FINITE: bad})
         part = np.ones((3, len(casts)), np.float32)
         part[:, lanes] = 0

@@ -87,7 +87,9 @@ def passages(
     same = low * high > 0
     whole = np.where(same, high * root_low + low * root_high, 1)
     difference = np.where(
-        same, (high + low) / np.where(whole == 0, 1, whole) * (sin * length / h), high * root_low - low * root_high
+        same,
+        (high + low) / np.where(whole == 0, 1, whole) * (sin * length / h),
+        high * root_low - low * root_high,
     )
     return Passage(sin, cos, h, y, foot, np.arcsinh(low), np.arcsinh(difference), start, end)
 

@@ -18,6 +18,9 @@ from ..geometry.warps import TWO_PI, basis
 LARGEST_G = 1 - 1e-4
 """Size that g is cut to: beyond, all light goes where no sample looks."""
 
+ISOTROPIC = np.float32(0.25 / np.pi)
+"""`value` for g = 0."""
+
 
 def bounded(g: np.ndarray) -> np.ndarray:
     """``g`` within what the other functions take."""

@@ -1,0 +1,518 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Segments of fog and lights without size, in pairs: all that the integrand is but for shadows.
+
+A *lane* is a segment of one medium and a light. Its variable s in [0, 1] is one in which the integrand is
+flat. About a light at distance D from the ray's line, with x along it from its foot on,
+
+    w = x / (D + r) = tan(angle / 2),   dx / r^2 = 2 dw / ((1 + w^2) D),   s linear in w.
+
+In m = 1 + w and p = 1 - w, which are found without cancellation, all is rational: r + x = D m / p,
+r - x = D p / m, and the squared cosine of half the scattering angle is p^2 / (m^2 + p^2). What a lane's
+exponents have in common is taken out of them; from its start on, x + r grows by 2 D dw s / (p p0).
+For a sun, s is uniform in what the fog lets pass.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..geometry.raytracer import FAR
+from ..geometry.surfaces import Surfaces
+from ..geometry.vectors import dot, take
+from . import phase
+from .light_samples import SceneLights
+from .media import Media
+from .single_scattering import FogRays
+
+POINT, SPOT, SUN = range(3)
+"""Kinds of lights."""
+
+DEEPEST = 24.0
+"""Optical depth of a lane beyond which nothing is looked for: exp(-24) is 4e-11."""
+
+PIECE = 6.0
+"""Optical depth at which a deep lane is parted for quadrature."""
+
+SHORT = 1 - 1e-4
+"""Part of the way from a light to a point that must be free: then begins the surface that the point is on."""
+
+_NEAREST = 1e-9
+"""Distance of a light from the ray, as a part of the segment's range, below which it is taken to be no nearer."""
+
+_NEAR = 256.0
+"""How far lights may be, in the frame's units, for rays to begin there: float32 has them end at the point."""
+
+_TINY = 1e-300
+
+
+@dataclass(eq=False)
+class BareLights:
+    """L lights without size.
+
+    position : (3, L) float64; of suns the direction to them. strength : (3, L) float64.
+    kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
+    axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
+    cone's angle, and 1 over the width of its edge in cosines. state : (L,) uint64, which fogs it is in.
+    """
+
+    position: np.ndarray
+    strength: np.ndarray
+    kind: np.ndarray
+    casts_shadow: np.ndarray
+    axes: np.ndarray
+    below: np.ndarray
+    sharpness: np.ndarray
+    state: np.ndarray
+
+    @staticmethod
+    def of(scene: SceneLights, number: np.ndarray, media: Media) -> BareLights:
+        """Lights ``number`` (L,) of a scene, ascending."""
+        count = len(number)
+        position, strength = np.zeros((2, 3, count))
+        kind, axes = np.zeros(count, np.intp), np.zeros((3, 3, count))
+        below, sharpness = np.zeros(count), np.ones(count)
+        for group, start, stop in zip(scene.groups, scene.first[:-1], scene.first[1:], strict=True):
+            rows = np.flatnonzero((number >= start) & (number < stop))
+            if rows.size == 0:
+                continue
+            here = number[rows] - start
+            strength[:, rows] = group.strength[:, here]
+            if group.at_infinity:
+                position[:, rows], kind[rows] = group.axis[:, here], SUN
+                continue
+            position[:, rows] = group.centre[:, here]
+            if group.cone.any:
+                cos = group.cone.cos[here].astype(np.float64)
+                axes[:, :, rows], sharpness[rows] = group.cone.inverse[:, :, here], group.cone.sharpness[here]
+                below[rows] = 1 - cos
+                kind[rows[cos > -1]] = SPOT
+        state = np.zeros(count, np.uint64)
+        if media.bodies and count:
+            origins = np.ascontiguousarray(position.T, np.float32)
+            state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
+        return BareLights(position, strength, kind, scene.casts_shadow[number], axes, below, sharpness, state)
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def take(self, rows: np.ndarray) -> BareLights:
+        return BareLights(*(getattr(self, f.name)[..., rows] for f in fields(self)))
+
+
+@dataclass(eq=False)
+class Segments:
+    """K segments of fog, of some of N rays.
+
+    ray : (K,) ascending. origin, direction : (3, K) float64, of the rays. start, end : (K,) float64.
+    depth : (C, K) before the start. inside : (K,) bits. mixture : (K,) rows, or (1,) if all are the same, of
+    sigma (C, R) extinction, scattering (G, 3, R), of those phase functions that are used, with anisotropy
+    (G,), and of thinnest and densest (R,) extinction of the channels that scatter.
+    """
+
+    ray: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    depth: np.ndarray
+    inside: np.ndarray
+    mixture: np.ndarray
+    sigma: np.ndarray
+    scattering: np.ndarray
+    anisotropy: np.ndarray
+    thinnest: np.ndarray
+    densest: np.ndarray
+
+    @staticmethod
+    def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> Segments:
+        """Of rays (N,), None for all."""
+        segments, which = rays.segments(ray)
+        found = rays.media
+        sigma, scattering = media.extinction, media.scattering
+        mixture = found.mixture[segments]
+        if len(mixture) and (mixture == mixture[0]).all():
+            # Of one row, tables need no look-up.
+            sigma, scattering = sigma[:, mixture[:1]], scattering[:, :, mixture[:1]]
+            mixture = np.zeros(1, np.intp)
+        used = np.flatnonzero(scattering.any(axis=(1, 2)))
+        scattering = scattering[used]
+        colours = scattering.any(axis=0)
+        wide = np.broadcast_to(sigma, colours.shape)
+        origin, direction = rays.origin, rays.direction
+        if not (ray is None and len(which) == len(rays)):
+            own = found.ray[segments]
+            origin, direction = take(origin, own), take(direction, own)
+        return Segments(
+            which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
+            found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
+            np.where(colours, wide, np.inf).min(axis=0), np.where(colours, wide, 0).max(axis=0),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.ray)
+
+
+class Lanes(ABC):
+    """n lanes of segments and lights.
+
+    segment : (n,) row, light : (n,) row, or (1,) of the only light.
+    breaks : (B, n) ascending places s between which the integrand is smooth.
+    casts_shadow : (n,) or (1,) bool.
+    """
+
+    # What may have one entry for all lanes: these are not taken from then.
+    _COMMON = frozenset(("light", "mixture", "sigma", "casts_shadow"))
+
+    def __init__(
+        self, segments: Segments, lights: BareLights, media: Media, segment: np.ndarray, light: np.ndarray
+    ) -> None:
+        self._segments, self._lights, self._media = segments, lights, media
+        self.segment, self.light = segment, light
+        self.mixture = segments.mixture if len(segments.mixture) == 1 else segments.mixture.take(segment)
+        self.sigma = take(segments.sigma, self.mixture)
+        self.casts_shadow = lights.casts_shadow.take(light)
+        self.breaks = np.zeros((0, len(segment)))
+        self.along = take(segments.direction, segment).astype(np.float32)
+        self.begin: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.segment)
+
+    def take(self, rows: np.ndarray) -> Lanes:
+        """Lanes ``rows``."""
+        part = object.__new__(type(self))
+        for name, value in self.__dict__.items():
+            if isinstance(value, np.ndarray) and not (name in self._COMMON and value.shape[-1] == 1):
+                value = value.take(rows, axis=-1)
+            part.__dict__[name] = value
+        return part
+
+    def radiance(self, integrals: np.ndarray) -> np.ndarray:
+        """(3, n) radiance that integrals (G, C, n) over s of `smooth` come to."""
+        weighed = self.weight * integrals
+        scattering = take(self._segments.scattering, self.mixture)
+        total = scattering[0] * weighed[0]
+        for sigma, one in zip(scattering[1:], weighed[1:], strict=True):
+            total += sigma * one
+        total *= take(self._lights.strength, self.light)
+        return total
+
+    @property
+    @abstractmethod
+    def weight(self) -> np.ndarray:
+        """(C, n) float64, what integrals over s are multiplied with, besides scattering and strength."""
+
+    @abstractmethod
+    def smooth(self, s: np.ndarray) -> np.ndarray:
+        """(G, C, n) the integrand at s (n,), or (G, C, Q, n) at s (Q, n) or (Q, 1)."""
+
+    @abstractmethod
+    def seen(self, s: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+        """(n,) bool, whether lights are seen from s (n,), or (Q, n) from s (Q, n) or (Q, 1)."""
+
+    def _phases(self, value: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """``value`` (C, ...) times each phase function."""
+        gs = self._segments.anisotropy
+        out = np.empty((len(gs), *value.shape), np.float32)
+        for row, g in zip(out, gs, strict=True):
+            np.multiply(value, phase.value(less, more, np.float32(g)) if g else phase.ISOTROPIC, out=row)
+        return out
+
+    def _legs(self, position: np.ndarray, to_light: np.ndarray, reach: float, rows: np.ndarray) -> np.ndarray:
+        """(C, Q, K) optical depth along vectors (3, Q, K) from positions (3, Q, K) of lanes ``rows`` (K,)."""
+        shape = position.shape[1:]
+        inside = np.broadcast_to(self._segments.inside.take(self.segment.take(rows)), shape).reshape(-1)
+        return self._media.optical_depth(_rows(position), _rows(to_light), reach, inside).reshape(-1, *shape)
+
+
+class AboutPoints(Lanes):
+    """Lanes to points and spots."""
+
+    def __init__(self, segments: Segments, lights: BareLights, media: Media) -> None:
+        origin, direction = segments.origin[:, None], segments.direction[:, None]
+        # (L, K), as all of these.
+        foot = lights.position[:, :, None] - origin
+        at = dot(foot, direction)
+        foot = at * direction - foot
+        distance = np.sqrt(dot(foot, foot))
+        low, high = segments.start - at, segments.end - at
+        closed = _closed(segments, lights, media)
+        first, inner = low, []
+        is_spot = (lights.kind == SPOT).any()
+        if is_spot:
+            low, high, *inner = _within_cones(lights, foot, direction, low, high)
+        thinnest = segments.thinnest.take(segments.mixture)
+        high = np.where(high > low, _reached(low, high, distance, thinnest, closed), low)
+        rows = np.flatnonzero(high > low)
+        everything = len(rows) == low.size
+
+        def flat(x):
+            x = x.reshape(*x.shape[:-2], -1)
+            return x if everything else x.take(rows, axis=-1)
+
+        light, segment = np.divmod(rows, low.shape[1])
+        super().__init__(segments, lights, media, segment, light if len(lights) > 1 else light[:1])
+        if len(rows) == 0:
+            return
+        foot, distance, low, high, begin = (flat(x) for x in (foot, distance, low, high, low + at))
+        distance = np.maximum(distance, np.maximum(_NEAREST * np.maximum(-low, high), _TINY))
+        m0, p0 = _ends(low, distance)
+        m1, p1 = _ends(high, distance)
+        step = np.where(low > 0, p0 - p1, m1 - m0)
+        self._closed = closed if isinstance(closed, bool) else flat(closed)
+        length = np.where(self._closed, np.sqrt(low * low + distance * distance), 0)
+        if is_spot:
+            length += low - flat(first)
+        self._weight = np.exp(-(take(segments.depth, segment) + length * self.sigma)) * (step / distance)
+        self._set_breaks([flat(x) for x in inner], low, distance, m0, p0, step)
+        self._far = bool(np.abs(lights.position).max() > _NEAR)
+        self._cone = None
+        along = take(segments.direction, segment)
+        if self._far or not np.all(self._closed):
+            self.begin = (take(segments.origin, segment) + along * begin).astype(np.float32)
+        if is_spot:
+            axes = np.broadcast_to(lights.axes[:, :, self.light], (3, 3, len(rows)))
+            cone = [-np.einsum("ijn,jn->in", axes, v) for v in (foot, along)]
+            self._cone = np.stack(cone).astype(np.float32)
+            self._below, self._sharpness = (
+                np.broadcast_to(x.take(self.light), len(rows)).astype(np.float32)
+                for x in (lights.below, lights.sharpness)
+            )
+        self.sigma = self.sigma.astype(np.float32)
+        self._foot, self._distance = foot.astype(np.float32), distance.astype(np.float32)
+        self._over_p, self._over_m = (distance * step / x for x in (p0, m0))
+        self._m, self._p = np.stack([m0, m1]).astype(np.float32), np.stack([p0, p1]).astype(np.float32)
+        self._over_p, self._over_m = self._over_p.astype(np.float32), self._over_m.astype(np.float32)
+
+    @property
+    def weight(self):
+        return self._weight
+
+    def _set_breaks(self, inner, low, distance, m0, p0, step) -> None:
+        """Parts lanes where spots begin to dim, and where so much is absorbed that a new piece is due.
+
+        inner : [] or two (n,) places x.
+        """
+        sigma = np.broadcast_to(self._segments.densest.take(self.mixture), low.shape)
+        p1 = np.maximum(p0 - step, _TINY)
+        depth = 2 * sigma * distance * step / (p0 * p1)
+        if not np.all(self._closed):
+            depth = np.where(self._closed, depth, depth / 2 * (1 + p0 * p1 / (m0 * (m0 + step))))
+        places = list(inner)
+        deep = depth > 1.5 * PIECE
+        if deep.any():
+            for part in (PIECE,) if self._media.grey else (PIECE, DEEPEST):
+                at = np.where(self._closed, _place_of(low, distance, part / sigma), low + part / sigma)
+                places.append(np.where(deep, at, low))
+        if places:
+            ends = (_ends(x, distance) for x in places)
+            parts = [np.where(low > 0, p0 - p, m - m0) / step for m, p in ends]
+            self.breaks = np.sort(np.clip(parts, 0, 1), axis=0)
+
+    def _at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """m, p and s as float32: sums of what is positive, so that no digit is lost."""
+        s = s.astype(np.float32)
+        if s.ndim == 2 and s.shape[1] == 1:
+            both = np.concatenate([1 - s, s], axis=1)
+            return both @ self._m, both @ self._p, s
+        rest = 1 - s
+        return self._m[0] * rest + self._m[1] * s, self._p[0] * rest + self._p[1] * s, s
+
+    def smooth(self, s):
+        m, p, s = self._at(s)
+        more, less = p * p, m * m
+        scale = 1 / (more + less)
+        more *= scale
+        less *= scale
+        path = s / p
+        path *= self._over_p
+        open_ = np.zeros(0, np.intp) if self._closed is True else np.flatnonzero(~self._closed)
+        if open_.size:
+            ahead = path + self._over_m * s / m
+            path = np.where(self._closed, 2 * path, ahead)
+        else:
+            path *= 2
+        depth = _columns(self.sigma, path.ndim) * path
+        if open_.size:
+            # (3, Q, K)
+            along, foot = (take(x, open_)[:, None] for x in (self.along, self._foot))
+            ahead, x = (take(y.reshape(-1, len(self)), open_) for y in (ahead, self._x(m, p)))
+            position = take(self.begin, open_)[:, None] + along * ahead
+            legs = self._legs(position, -(foot + along * x), 1.0, open_)
+            depth.reshape(len(depth), -1, len(self))[:, :, open_] += legs
+        np.negative(depth, out=depth)
+        value = np.exp(depth, out=depth)
+        scale *= 4
+        if self._cone is not None:
+            scale *= self._attenuation(m, p)
+        value *= scale
+        return self._phases(value, less, more)
+
+    def _x(self, m: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Distances along the ray from the foot."""
+        x = m - p
+        x /= m * p
+        x *= self._distance
+        return x
+
+    def _attenuation(self, m: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Of spots: smoothstep of the cosine to the axis, by 1 - cos, which keeps its digits."""
+        x = self._x(m, p)
+        u, v, z = (at_foot + along * x for at_foot, along in zip(*self._cone, strict=True))
+        across = u * u + v * v
+        size = np.sqrt(across + z * z)
+        below = across / np.maximum(size * (size + z), np.float32(1e-37))
+        t = np.clip((self._below - below) * self._sharpness, 0, 1)
+        return t * t * (3 - 2 * t)
+
+    def seen(self, s, surfaces):
+        m, p, s = self._at(s)
+        x = self._x(m, p)
+        vector, origin = np.empty((2, *x.shape, 3), np.float32)
+        for i in range(3):
+            np.multiply(x, self.along[i], out=vector[..., i])
+            vector[..., i] += self._foot[i]
+        reach = SHORT
+        if self._far:
+            ahead = self._over_p * s / p + self._over_m * s / m
+            for i in range(3):
+                origin[..., i] = self.begin[i] + self.along[i] * ahead
+            np.negative(vector, out=vector)
+            reach = 1.0
+        else:
+            lights = self._lights.position.T.astype(np.float32)
+            origin[:] = lights[0] if len(lights) == 1 else lights.take(self.light, axis=0)
+        return ~surfaces.occluded(origin.reshape(-1, 3), vector.reshape(-1, 3), reach).reshape(x.shape)
+
+
+class TowardsSuns(Lanes):
+    """Lanes to suns."""
+
+    def __init__(self, segments: Segments, lights: BareLights, media: Media) -> None:
+        light, segment = np.divmod(np.arange(len(lights) * len(segments)), len(segments))
+        super().__init__(segments, lights, media, segment, light)
+        least = np.broadcast_to(segments.thinnest.take(self.mixture), len(segment))
+        length = (segments.end - segments.start).take(segment)
+        passed = -np.expm1(-np.minimum(least * length, DEEPEST))
+        self._weight = np.exp(-take(segments.depth, segment).astype(np.float64)) * (passed / least)
+        along = take(segments.direction, segment)
+        begin = take(segments.origin, segment) + along * segments.start.take(segment)
+        towards = take(lights.position, light)
+        less, more = phase.half_angle(-towards, -along)
+        self._passed, self._least, self.begin, self._towards, self._less, self._more = (
+            x.astype(np.float32) for x in (passed, least, begin, towards, less, more)
+        )
+        self._further = (self.sigma - least).astype(np.float32)
+
+    @property
+    def weight(self):
+        return self._weight
+
+    def _place(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances from the lanes' start (Q, n), and positions (3, Q, n), at s (Q, n) or (Q, 1)."""
+        t = -np.log1p(-s.astype(np.float32) * self._passed) / self._least
+        return t, self.begin[:, None] + self.along[:, None] * t
+
+    def smooth(self, s):
+        if s.ndim == 1:
+            return self.smooth(s[None])[:, :, 0]
+        t, position = self._place(s)
+        towards = np.broadcast_to(self._towards[:, None], position.shape)
+        depth = self._legs(position, towards, np.inf, np.arange(len(self)))
+        return self._phases(np.exp(-(depth + self._further[:, None] * t)), self._less, self._more)
+
+    def seen(self, s, surfaces):
+        if s.ndim == 1:
+            return self.seen(s[None], surfaces)[0]
+        _, position = self._place(s)
+        towards = np.broadcast_to(self._towards[:, None], position.shape)
+        return ~surfaces.occluded(_rows(position), _rows(towards), FAR).reshape(position.shape[1:])
+
+
+def _rows(a: np.ndarray) -> np.ndarray:
+    """(N, 3) float32, contiguous, of (3, ...)."""
+    return np.ascontiguousarray(a.reshape(3, -1).T, np.float32)
+
+
+def _columns(a: np.ndarray, ndim: int) -> np.ndarray:
+    """(C, n) as (C, ..., n), to go with arrays of ``ndim`` dimensions."""
+    return a.reshape(len(a), *(1,) * (ndim - 1), a.shape[-1])
+
+
+def _ends(x: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """1 + w and 1 - w of w = x / (D + r), each to all its digits."""
+    root = np.sqrt(distance * distance + x * x)
+    far = root + np.abs(x)
+    near = distance * distance / far
+    scale = 1 / (distance + root)
+    large, small = (distance + far) * scale, (distance + near) * scale
+    ahead = x >= 0
+    return np.where(ahead, large, small), np.where(ahead, small, large)
+
+
+def _place_of(low: np.ndarray, distance: np.ndarray, further: np.ndarray) -> np.ndarray:
+    """The x at which x + r is ``further`` than at ``low``."""
+    square = distance * distance
+    root = np.sqrt(square + low * low)
+    whole = np.where(low > 0, low + root, square / np.maximum(root - low, _TINY)) + further
+    return (whole - square / np.maximum(whole, _TINY)) / 2
+
+
+def _closed(segments: Segments, lights: BareLights, media: Media) -> np.ndarray | bool:
+    """(L, K) whether the way to the light stays in the segment's own fog; True if all do."""
+    if media.bodies == 0:
+        return True
+    if not media.convex:
+        return np.zeros((len(lights), len(segments)), bool)
+    every = np.uint64((1 << media.bodies) - 1)
+    closed = (lights.state == every)[:, None] & (segments.inside == every)
+    return True if closed.all() else closed
+
+
+def _reached(low, high, distance, sigma, closed) -> np.ndarray:
+    """Ends of lanes (L, K), no further than from where next to nothing comes."""
+    if not ((high - low) * (2 * sigma) > DEEPEST).any():
+        return high
+    further = DEEPEST / sigma
+    at = np.where(closed, _place_of(low, distance, further), low + further)
+    return np.minimum(high, at)
+
+
+def _within_cones(lights, foot, direction, low, high) -> tuple[np.ndarray, ...]:
+    """Segments (L, K) clipped to the cones of spots, and the stretches of full light in these.
+
+    A place is on the cone where z^2 = cos^2 |v|^2, with v the vector from the light and z along its axis, which
+    is quadratic in x. A cone of at most a half space is convex: what is in it is in one piece.
+    """
+    v0 = -np.einsum("ijl,jlk->ilk", lights.axes, foot)
+    v1 = -np.einsum("ijl,jlk->ilk", lights.axes, np.broadcast_to(direction, foot.shape))
+    stretches = []
+    for inset in (np.zeros(len(lights)), 1 / lights.sharpness):
+        below = (lights.below - inset)[:, None]
+        # sin^2 z^2 - cos^2 (|v|^2 - z^2) = alpha x^2 + 2 beta x + gamma
+        sine = below * (2 - below)
+        gamma, beta, alpha = (
+            sine * (a[2] * b[2]) - (1 - sine) * (a[0] * b[0] + a[1] * b[1])
+            for a, b in ((v0, v0), (v0, v1), (v1, v1))
+        )
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            q = -(beta + np.copysign(np.sqrt(np.maximum(beta * beta - alpha * gamma, 0)), beta))
+            roots = [np.clip(np.where(np.isnan(r), low, r), low, high) for r in (q / alpha, gamma / q)]
+        cuts = [low, np.minimum(*roots), np.maximum(*roots), high]
+        begin, end = high, low
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            x = 0.5 * (a + np.minimum(b, a + 1e30))
+            inside = (
+                (v0[2] + v1[2] * x > 0) & ((alpha * x + 2 * beta) * x + gamma >= 0) & (b > a) & (below > 0)
+            )
+            begin, end = (
+                np.where(inside, np.minimum(begin, a), begin),
+                np.where(inside, np.maximum(end, b), end),
+            )
+        stretches += [begin, end]
+    low, high, first, last = stretches
+    none = last <= first
+    return low, high, np.where(none, low, first), np.where(none, low, last)

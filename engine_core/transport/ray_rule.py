@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All light that fog scatters along a camera ray, of lights without size: points, spots, distant suns.
+
+What is seen and what is smooth are integrated apart. Shadow rays to a few *nodes* tell where along a segment
+a light is seen; between two that differ, bisection finds the shadow's edge. All other factors are one smooth
+function of the place, a polynomial through Gauss-Legendre points; its antiderivative needs no ray.
+
+The unbiased estimate adds two rays: one in the last bracket of each edge, and one anywhere, where the
+integrand is compared with the polynomial times the visibility that was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..integration.inner_rules import InnerRule, Nodes
+from ..integration.rules import gauss
+from .direct_light import SHADOW
+from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, Lanes, Segments, TowardsSuns
+from .single_scattering import FogRays, Scattered, SingleScattering
+
+NODES, NODES_OF_SPOTS = 9, 17
+"""Where visibility is asked for in a lane: what is thinner than a step may be missed, in a spot's cone soonest."""
+
+BISECTIONS = 3
+"""Of the step in which a shadow has its edge."""
+
+POINTS, POINTS_OF_PEAKS = 8, 16
+"""Of the quadrature of what is smooth, in each piece of a lane; more where a phase function has a peak."""
+
+_PEAK = 0.6
+"""Anisotropy from which on it has one."""
+
+_INSET = 1e-3
+"""Part of a lane, at both ends, in which a light is seen as it is next to it: no surface shadows itself."""
+
+_BATCH = 1 << 16
+"""Shadow rays at once, about."""
+
+
+class ScatteredAlongRay(Scattered):
+    """The light of lights without size that a whole camera ray brings.
+
+    At u (2, N) it is an unbiased estimate, `along` is nearly so, and has no noise.
+    """
+
+    rest_dimensions = 2
+
+    def __init__(
+        self,
+        scattering: SingleScattering,
+        lights: np.ndarray | None = None,
+        check=lambda: None,
+        nodes: int = NODES,
+        nodes_of_spots: int = NODES_OF_SPOTS,
+    ) -> None:
+        """lights : (L,) numbers of those without size, None for all of these. nodes : of each lane."""
+        super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
+        self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
+        self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
+        peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
+        self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
+        kinds = self._bare.kind
+        self.shadow_rays = sum(int((kinds == kind).sum()) * n for kind, n in self._nodes.items())
+
+    def rest(
+        self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray
+    ) -> tuple[np.ndarray | None, np.ndarray]:
+        self._check()
+        u = u.astype(np.float32)
+        if lane is None and u.ndim == 3 and u.shape[2] > 1:
+            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+        values, _ = self._estimate(rays, lane, u.reshape(2, -1))
+        return None, values
+
+    def along(self, rays: FogRays, lane: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Radiance (3, N) that rays ``lane`` (N,) bring, None for all, and its likely error (N,)."""
+        self._check()
+        return self._estimate(rays, lane, None)
+
+    def _estimate(
+        self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Radiance (3, N), and the deviation (N,) that u gives it, summed over channels; 0 with a u."""
+        count = len(rays) if lane is None else len(lane)
+        radiance, variance = np.zeros((3, count)), np.zeros(count)
+        if count == 0:
+            return radiance, variance
+        segments = Segments.of(rays, lane, self._scattering.media)
+        for kind, lanes in self._lanes(segments):
+            if len(lanes) == 0:
+                continue
+            ray = segments.ray.take(lanes.segment)
+            value, error = self._integral(
+                lanes, self._nodes[kind], None if u is None else u.take(ray, axis=1)
+            )
+            whole = lanes.radiance(value)
+            if len(ray) == count and (len(segments) == count or (ray == np.arange(count)).all()):
+                radiance += whole
+            else:
+                radiance += [np.bincount(ray, channel, count) for channel in whole]
+            if error is not None:
+                variance += np.bincount(ray, np.square(lanes.radiance(error).sum(axis=0)), count)
+        return self._bounded(radiance), np.sqrt(variance)
+
+    def _lanes(self, segments: Segments) -> Iterator[tuple[int, Lanes]]:
+        """Lanes of all kinds of lights, in batches."""
+        for kind, make in ((POINT, AboutPoints), (SPOT, AboutPoints), (SUN, TowardsSuns)):
+            rows = np.flatnonzero(self._bare.kind == kind)
+            step = max(1, _BATCH // (self._nodes[kind] * max(len(segments), 1)))
+            for low in range(0, len(rows), step):
+                lights = self._bare.take(rows[low : low + step])
+                yield kind, make(segments, lights, self._scattering.media)
+
+    def _integral(
+        self, lanes: Lanes, nodes: int, u: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """(G, C, n) integrals of `Lanes.smooth` times visibility over s, for u (2, n); None for none.
+
+        Without a u, also what deviation the last brackets of shadows leave, None for 0.
+        """
+        pieces = _Pieces(lanes, self._quadrature)
+        s = np.linspace(0, 1, nodes)
+        s[[0, -1]] = _INSET, 1 - _INSET
+        seen = self._seen(lanes, s[:, None])
+        result = pieces.whole * seen[-1]
+        step, lane = np.nonzero(seen[1:] != seen[:-1])
+        error = None
+        low = high = np.zeros(0)
+        if lane.size:
+            part, lit = lanes.take(lane), seen[step, lane]
+            low, high = s[step], s[step + 1]
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (low + high)
+                same = self._seen(part, middle) == lit
+                low, high = np.where(same, middle, low), np.where(same, high, middle)
+            edge = 0.5 * (low + high) if u is None else np.where(lit, low, high)
+            change = pieces.integral(lane, edge)
+            change *= np.where(lit, np.float32(1), np.float32(-1))
+            if u is None:
+                rough = pieces.value(lane, edge)
+                rough *= (0.5 * (high - low)).astype(np.float32)
+                error = np.sqrt(_sums(lane, rough * rough, len(lanes)))
+            else:
+                at = low + (high - low) * u[0].take(lane)
+                change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
+            result += _sums(lane, change, len(lanes))
+        if u is not None:
+            at = u[1]
+            cell = np.searchsorted(s[1:-1], at, side="right")
+            here = np.arange(len(lanes))
+            before, after = seen[cell, here], seen[cell + 1, here]
+            believed, known = before.copy(), np.ones(len(lanes), np.float32)
+            if lane.size:
+                row = np.full(seen.shape, -1)
+                row[step, lane] = np.arange(len(lane))
+                row = row[cell, here]
+                edges = np.flatnonzero(row >= 0)
+                which = row.take(edges)
+                place = at.take(edges)
+                believed[edges] = np.where(place < low.take(which), before.take(edges), after.take(edges))
+                known[edges] = (place < low.take(which)) | (place > high.take(which))
+            result += lanes.smooth(at) * (known * self._seen(lanes, at))
+            result -= pieces.value(None, at) * (known * believed)
+        return result, error
+
+    def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
+        """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
+        shape = np.broadcast_shapes(s.shape, (len(lanes),))
+        casts = lanes.casts_shadow
+        if not casts.any():
+            return np.ones(shape, bool)
+        self._count(SHADOW, int(np.prod(shape)))
+        seen = lanes.seen(s, self._scattering.surfaces)
+        return seen if casts.all() else seen | ~casts
+
+
+class AlongRay(InnerRule):
+    """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
+
+    def __init__(self, cost: int) -> None:
+        """cost : of a node, in evaluations."""
+        self._cost = cost
+
+    def cost(self, dimensions: int) -> int:
+        return self._cost
+
+    def integrate(self, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, int]:
+        count = len(nodes.lanes)
+        rays, lane, which = nodes.stage, nodes.lanes, None
+        if rays.lane is not None:
+            number = np.full(nodes.points, -1)
+            number[rays.lane] = np.arange(len(rays))
+            lane = number.take(lane)
+            which = np.flatnonzero(lane >= 0)
+            lane = lane.take(which)
+        everything = len(lane) == len(rays) and (lane == np.arange(len(rays))).all()
+        values, spread = nodes.integrand.along(rays, None if everything else lane)
+        if which is not None:
+            dense, deviation = np.zeros((3, count), np.float32), np.zeros(count)
+            dense[:, which], deviation[which] = values, spread
+            values, spread = dense, deviation
+        return values, spread, count * self._cost
+
+
+def _sums(lane: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """(G, C, count) sums of values (G, C, X) of the same lane (X,)."""
+    flat = values.reshape(-1, len(lane))
+    return np.stack([np.bincount(lane, row, count) for row in flat]).reshape(*values.shape[:2], count)
+
+
+class _Quadrature:
+    """Gauss-Legendre on [0, 1], and the polynomial through its points.
+
+    at : (Q,) points. weights : (Q,) float32.
+    """
+
+    def __init__(self, points: int) -> None:
+        self.at, weights = gauss(points)
+        self.weights = weights.astype(np.float32)
+        order = np.arange(points)
+        # From values to coefficients of Legendre polynomials, and on to those of their antiderivatives.
+        series = (2 * order + 1)[:, None] * _legendre(self.at, points) * weights
+        higher = np.zeros((points, points + 1))
+        higher[order, order + 1] = 0.5 / (2 * order + 1)
+        higher[order[1:], order[1:] - 1] = -0.5 / (2 * order[1:] + 1)
+        higher[0, 0] = 0.5
+        self._values = series.T.astype(np.float32)
+        self._integrals = (series.T @ higher).astype(np.float32)
+
+    def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,)."""
+        factor = self._values @ _legendre(s.astype(np.float32), len(self.at))
+        return (values * factor).sum(axis=-2)
+
+    def integral(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(..., X) their integrals from 0 to s (X,)."""
+        factor = self._integrals @ _legendre(s.astype(np.float32), len(self.at) + 1)
+        return (values * factor).sum(axis=-2)
+
+
+def _legendre(s: np.ndarray, count: int) -> np.ndarray:
+    """(count, X) Legendre polynomials of order 0, 1, ... on [0, 1] at s (X,)."""
+    t = 2 * s - 1
+    p = np.empty((count, *s.shape), s.dtype)
+    p[0] = 1
+    p[1] = t
+    for k in range(1, count - 1):
+        np.multiply(p[k], t, out=p[k + 1])
+        p[k + 1] *= (2 * k + 1) / (k + 1)
+        p[k + 1] -= (k / (k + 1)) * p[k - 1]
+    return p
+
+
+class _Pieces:
+    """The smooth factor of n lanes: a polynomial of each, or one in each piece of a lane.
+
+    whole : (G, C, n) integrals over the lanes.
+    """
+
+    def __init__(self, lanes: Lanes, quadrature: _Quadrature) -> None:
+        self._quadrature = quadrature
+        self._number = None
+        if len(lanes.breaks) == 0:
+            self._values = lanes.smooth(quadrature.at[:, None])  # (G, C, Q, n)
+            self.whole = self._means()
+            return
+        n = len(lanes)
+        edge = np.concatenate([np.zeros((1, n)), lanes.breaks, np.ones((1, n))])
+        length = np.diff(edge, axis=0)
+        piece, lane = np.nonzero(length > 0)
+        self._number = np.full(length.shape, -1)
+        self._number[piece, lane] = np.arange(len(lane))
+        self._low, self._length = edge[piece, lane], length[piece, lane]
+        self._values = lanes.take(lane).smooth(self._low + self._length * quadrature.at[:, None])
+        self._values *= self._length.astype(np.float32)
+        self.whole = _sums(lane, self._means(), n)
+
+    def _means(self) -> np.ndarray:
+        return np.matmul(self._quadrature.weights, self._values)
+
+    def integral(self, lane: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(G, C, X) integrals over lanes (X,) from 0 to s (X,)."""
+        if self._number is None:
+            return self._quadrature.integral(self._values.take(lane, axis=-1), s)
+        result = 0
+        for number in self._number:
+            row = number.take(lane)
+            place = np.clip((s - self._low.take(row)) / self._length.take(row), 0, 1)
+            part = self._quadrature.integral(self._values.take(row, axis=-1), place)
+            result = result + part * (row >= 0)
+        return result
+
+    def value(self, lane: np.ndarray | None, s: np.ndarray) -> np.ndarray:
+        """(G, C, X) the factor at s (X,) of lanes (X,), None for all in order."""
+        if self._number is None:
+            values = self._values if lane is None else self._values.take(lane, axis=-1)
+            return self._quadrature.value(values, s)
+        row = np.zeros(len(s), np.intp)
+        for number in self._number:
+            of = number if lane is None else number.take(lane)
+            row = np.where((of >= 0) & ((s >= self._low.take(of)) | (row < 0)), of, row)
+        length = self._length.take(row)
+        place = np.clip((s - self._low.take(row)) / length, 0, 1)
+        return self._quadrature.value(self._values.take(row, axis=-1), place) / length.astype(np.float32)

@@ -297,6 +297,16 @@ def test_there_are_no_media_where_nothing_attenuates_or_glows() -> None:
     assert media_of(box(volume=0), box(), volumes=(Volume(),), world=0) is None
 
 
+@pytest.mark.parametrize("meshes", ((), (box(volume=0),), (box(volume=0), sphere(volume=0, segments=32))), ids=len)
+@pytest.mark.parametrize("world", (-1, 0))
+def test_no_rays_at_all(meshes: tuple[Mesh, ...], world: int) -> None:
+    media = media_of(*meshes, box(volume=0), volumes=(Volume(1.0, emission=1.0),), world=world)
+    none = np.zeros((0, 3), np.float32)
+    assert media.optical_depth(none, none, 1.0).shape == (1, 0)
+    along = media.along(none, none, np.inf)
+    assert along.total.shape == (1, 0) and along.emission.shape == (3, 0) and len(along.ray) == 0
+
+
 # -- surfaces in fog -------------------------------------------------------------------------------
 
 

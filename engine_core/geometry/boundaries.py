@@ -68,24 +68,34 @@ class Boundaries:
 
 
 class _Convex:
-    """A closed convex body of few faces: rays are clipped against the planes of these."""
+    """A closed convex body of few faces: rays are clipped against slabs, between planes that are parallel."""
 
     def __init__(self, normals: np.ndarray, offsets: np.ndarray) -> None:
         """normals : (P, 3) float64, outwards. offsets : (P,) of the planes along them."""
-        self._normals, self._offsets = normals, offsets[:, None]
+        slabs = []  # normal, low, high
+        rest = list(range(len(normals)))
+        while rest:
+            i = rest.pop(0)
+            opposite = next((j for j in rest if (normals[j] == -normals[i]).all()), None)
+            if opposite is not None:
+                rest.remove(opposite)
+            slabs.append((normals[i], -np.inf if opposite is None else -offsets[opposite], offsets[i]))
+        self._normals = np.array([normal for normal, _, _ in slabs])
+        self._low, self._high = np.array([slab[1:] for slab in slabs]).T[..., None]
 
     def spans(self, origins, directions, reach, inside) -> Spans:
-        along = self._normals @ directions.T
-        distance = self._offsets - self._normals @ origins.T
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            at = distance / along
-        # A ray along a plane is on one side of it for good.
-        at[along == 0] = np.inf
-        start = np.where(along < 0, at, 0).max(axis=0)
-        end = np.where(along > 0, at, np.inf).min(axis=0)
-        end[((along == 0) & (distance < 0)).any(axis=0)] = -1
-        np.maximum(start, 0, out=start)
-        np.minimum(end, reach, out=end)
+            along = 1 / (self._normals @ directions.T)
+            height = self._normals @ origins.T
+            low, high = self._low - height, self._high - height
+            low *= along
+            high *= along
+        # A ray along a slab is between its planes for good, or outside: both are infinite, of one sign. One
+        # within a plane, where there is a NaN, counts as outside.
+        start = np.fmin(low, high).max(axis=0)
+        end = np.fmax(low, high).min(axis=0)
+        np.fmax(start, 0, out=start)
+        np.fmin(end, reach, out=end)
         ray = np.flatnonzero(end > start)
         return Spans(ray, start.take(ray), end.take(ray))
 

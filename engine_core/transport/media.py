@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import RenderError
 from ..geometry.boundaries import MOST, Boundaries
 from ..geometry.frame import Frame
+from ..geometry.vectors import take
 from ..scene import Scene, Volume
 from ..shading.terms import LARGEST
 
@@ -78,7 +79,9 @@ class Media:
         self.emits = bool(emission.any())
         width = extinction.shape[1]
         # Of each body (B + 1, C + 3 + 3 G), the world's last.
-        self._of_body = np.concatenate([extinction, emission, scattering.reshape(len(parts), -1)], axis=1) / scale
+        self._of_body = (
+            np.concatenate([extinction, emission, scattering.reshape(len(parts), -1)], axis=1) / scale
+        )
         self._extinction = self._of_body[:, :width]
         self._growing = Lock()
         self._sets = np.arange(2**self.bodies if self.bodies <= DIRECT else 1, dtype=np.uint64)
@@ -111,6 +114,7 @@ class Media:
         table = (bits.astype(np.float64) @ self._of_body[:-1] + self._of_body[-1]).T
         width = self._extinction.shape[1]
         scattering = table[width + 3 :].reshape(len(self.anisotropy), 3, -1)
+        self._fills = table[: width + 3].any(axis=0)
         # In one assignment, as other threads read it.
         self._tables = table[:width], table[width : width + 3], scattering
 
@@ -186,47 +190,66 @@ class Media:
         """What rays run through before their ``end``; arguments as in `optical_depth`."""
         n = len(origins)
         directions, end = _broadcast(origins, directions, end)
-        ray, at, bits = [np.arange(n)], [np.zeros(n)], [np.zeros(n, np.uint64)]
-        state = np.zeros(n, np.uint64)
-        for body in range(self.bodies):
-            spans = self._boundaries.spans(body, origins, directions, end, _bit(inside, body))
-            bit = np.uint64(1 << body)
-            ray += [spans.ray, spans.ray]
-            at += [spans.start, spans.end]
-            bits += [np.full(2 * len(spans.ray), bit)]
-            state[spans.ray[spans.end >= end.take(spans.ray)]] |= bit
-        ray, at, bits = np.concatenate(ray), np.concatenate(at), np.concatenate(bits)
-        if self.bodies:
-            order = np.lexsort((at, ray))
-            ray, at, bits = ray.take(order), at.take(order), bits.take(order)
-        # All spans end with their ray at the latest, so bits need no new beginning there.
-        inside = np.bitwise_xor.accumulate(bits) if len(bits) else bits
-        last = np.append(ray[1:] != ray[:-1], True) if n else np.zeros(0, bool)
-        until = np.where(last, end.take(ray), np.append(at[1:], 0)[: len(at)])
+        ray, start, until, inside, state = self._stretches(origins, directions, end, inside)
         mixture = self.mixture_of(inside)
-        sigma, glow = self.extinction.take(mixture, axis=1), self.emission.take(mixture, axis=1)
-        filled = np.flatnonzero((sigma.any(axis=0) | glow.any(axis=0)) & (until > at))
-        ray, inside, mixture = ray.take(filled), inside.take(filled), mixture.take(filled)
-        sigma, glow = sigma.take(filled, axis=1), glow.take(filled, axis=1)
+        filled = np.flatnonzero(self._fills.take(mixture) & (until > start))
+        if len(filled) < len(ray):
+            ray, start, until, inside, mixture = (x.take(filled) for x in (ray, start, until, inside, mixture))
+        sigma = take(self.extinction, mixture)
         unit = _norm(directions).take(ray)
-        start, until = at.take(filled) * unit, until.take(filled) * unit
+        start, until = start * unit, until * unit
         length = until - start
         with np.errstate(invalid="ignore", over="ignore"):
-            own = np.where(sigma > 0, sigma * length, 0)
+            own = sigma * length
+            own[sigma == 0] = 0
         before = _sum_before(ray, own)
         total = np.stack([np.bincount(ray, channel, n) for channel in own])
         emission = None
         if self.emits:
+            glow = take(self.emission, mixture)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 effective = np.where(sigma > 0, -np.expm1(-own) / sigma, length) * np.exp(-before)
                 light = np.where(glow > 0, np.minimum(glow * effective, LARGEST), 0)
             emission = np.stack([np.bincount(ray, channel, n) for channel in light]).astype(np.float32)
         some = np.flatnonzero(length > _SLIVER * start)
-        ray, start, until, inside, mixture = (x.take(some) for x in (ray, start, until, inside, mixture))
-        before = before.take(some, axis=1)
+        if len(some) < len(ray):
+            ray, start, until, inside, mixture = (x.take(some) for x in (ray, start, until, inside, mixture))
+            before = take(before, some)
         with np.errstate(over="ignore"):
             before, total = before.astype(np.float32), total.astype(np.float32)
         return RayMedia(ray, start, until, inside, mixture, before, total, state, emission)
+
+    def _stretches(
+        self, origins: np.ndarray, directions: np.ndarray, end: np.ndarray, inside: np.ndarray | None
+    ) -> tuple[np.ndarray, ...]:
+        """Stretches of rays: which (K,), from where to where (K,), inside of what (K,); and `RayMedia.state`.
+
+        In lengths of the direction. Some may be outside of everything, or have no length.
+        """
+        n = len(origins)
+        state = np.zeros(n, np.uint64)
+        found = []
+        for body in range(self.bodies):
+            spans = self._boundaries.spans(body, origins, directions, end, _bit(inside, body))
+            state[spans.ray[spans.end >= end.take(spans.ray)]] |= np.uint64(1 << body)
+            found.append(spans)
+        bits = [np.full(len(spans.ray), 1 << body, np.uint64) for body, spans in enumerate(found)]
+        if self.bodies == 1 and not self._fills[0]:
+            return found[0].ray, found[0].start, found[0].end, bits[0], state
+        everywhere = np.arange(n), np.zeros(n)
+        if self.bodies == 0:
+            return *everywhere, end, state, state
+        ray = np.concatenate([everywhere[0]] + [spans.ray for spans in found for _ in range(2)])
+        start = np.concatenate([everywhere[1]] + [t for spans in found for t in (spans.start, spans.end)])
+        changes = np.concatenate([state * np.uint64(0)] + [b for b in bits for _ in range(2)])
+        order = np.lexsort((start, ray))
+        ray, start = ray.take(order), start.take(order)
+        # All spans end with their ray at the latest, so bits need no new beginning there.
+        within = np.bitwise_xor.accumulate(changes.take(order))
+        until = np.append(start[1:], 0)[: len(ray)]
+        last = np.flatnonzero(np.append(ray[1:] != ray[:-1], True)[: len(ray)])
+        until[last] = end.take(ray.take(last))
+        return ray, start, until, within, state
 
     def seen(
         self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray

@@ -16,8 +16,12 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent
 SCENES = (
     "soft_shadow", "mixed_lights", "many_lights", "instances", "interior", "slats", "studio_spheres",
-    "veach_plates", "violin",
+    "veach_plates", "violin", "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage",
+    "fog_ball", "fog_area", "leaves",
 )  # fmt: skip
+
+WITH_ASSETS = ("dragon", "green_dragon")
+"""Examples whose mesh is no part of the project: they are made where it is at hand."""
 
 sys.path.insert(0, str(FOLDER.parent))
 
@@ -37,16 +41,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", default=SCENES, metavar="name", help=", ".join(SCENES))
     parser.add_argument("--into", type=Path, default=FOLDER, help="folder of the .blend files")
-    parser.add_argument("--assets", type=Path, metavar="FOLDER", help="has the mesh of `dragon`")
+    parser.add_argument("--assets", type=Path, metavar="FOLDER", help="has the mesh of a dragon")
     options = parser.parse_args()
-    if "dragon" in options.names and options.assets is None:
-        parser.error("dragon needs --assets FOLDER: its mesh is no part of the project")
+    if options.assets is None and any(name in WITH_ASSETS for name in options.names):
+        parser.error("a dragon needs --assets FOLDER: its mesh is no part of the project")
 
     import bpy
 
     bpy.context.preferences.filepaths.save_version = 0
     for name in options.names:
-        build(name, *([options.assets] if name == "dragon" else []))
+        build(name, *([options.assets] if name in WITH_ASSETS else []))
         path = (options.into / f"{name}.blend").resolve()
         bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
         print(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB")

@@ -35,13 +35,17 @@ def read_ply(path: Path) -> Shape:
     return vertices, faces[:, 1:4]
 
 
-def model(assets: Path) -> Model:
-    """assets : the folder that has `MESH`."""
+def standing(assets: Path) -> Shape:
+    """The dragon of `MESH` in this folder, on z = 0 and `HEIGHT` tall."""
     vertices, faces = read_ply(Path(assets) / MESH)
     vertices = vertices[:, [0, 2, 1]] * (1, -1, 1)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*(low + high)[:2] / 2, low[2]])
-    vertices = (vertices - middle) * (HEIGHT / (high - low)[2])
+    return (vertices - middle) * (HEIGHT / (high - low)[2]), faces
+
+
+def model(assets: Path) -> Model:
+    """assets : the folder that has `MESH`."""
     floor = np.array([(-14, -10, 0), (14, -10, 0), (14, 14, 0), (-14, 14, 0)], float)
     quad, corners = np.array([(0, 1, 2, 3)]), np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
     # Behind the dragon, its upper edge nearer: seen from the front, and tilted to the floor.
@@ -50,7 +54,7 @@ def model(assets: Path) -> Model:
     glow = Surface("Lamp", "Emission", {"color": ramp, "strength": 2.4})
     things = [
         Thing("Floor", (floor, quad), diffuse("Floor", (0.62, 0.61, 0.60))),
-        Thing("Dragon", (vertices, faces), diffuse("Jade", (0.70, 0.78, 0.70)), smooth=True),
+        Thing("Dragon", standing(assets), diffuse("Jade", (0.70, 0.78, 0.70)), smooth=True),
         Thing("Lamp", (lamp, quad), glow, uv=corners),
     ]
     world = (0.06, 0.066, 0.08)

@@ -38,17 +38,35 @@ class Surface:
     inputs: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Fog:
+    """A homogeneous medium: what Blender's Volume Scatter and Volume Absorption nodes make of it.
+
+    density : of the scattering, per metre, times ``colour``. absorption : RGB, per metre.
+    anisotropy : mean cosine of the Henyey-Greenstein phase function.
+    """
+
+    name: str
+    density: float
+    colour: Colour = (1.0, 1.0, 1.0)
+    anisotropy: float = 0.0
+    absorption: Colour = (0.0, 0.0, 0.0)
+
+
 def diffuse(name: str, colour: Colour) -> Surface:
     return Surface(name, "Diffuse", {"color": colour})
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """An object: a shape in world space and one surface. uv : (F, K, 2), of its faces' corners."""
+    """An object: a shape in world space and one surface, or the fog that it bounds, itself unseen.
+
+    uv : (F, K, 2), of its faces' corners.
+    """
 
     name: str
     shape: Shape
-    surface: Surface
+    surface: Surface | Fog
     smooth: bool = False
     uv: np.ndarray | None = None
 
@@ -57,7 +75,8 @@ class Thing:
 class Lamp:
     """A light as Blender knows it.
 
-    kind : "POINT" or "AREA". power : in W. seen : by the camera. properties : of Blender's light data.
+    kind : "POINT", "SPOT", "AREA", "SUN" or "LASER". power : in W (a sun: W/m2). seen : by the camera.
+    properties : of Blender's light data; of a laser: its beam's "radius" and "length", 0 for no end.
     """
 
     name: str
@@ -86,13 +105,17 @@ class View:
 
 @dataclass(frozen=True)
 class Model:
-    """A whole scene. world : radiance from everywhere. size : of the picture, as the file has it."""
+    """A whole scene.
+
+    world : radiance from everywhere. size : of the picture, as the file has it. fog : fills all space.
+    """
 
     view: View
     things: Sequence[Thing]
     lamps: Sequence[Lamp] = ()
     world: Colour = (0.0, 0.0, 0.0)
     size: tuple[int, int] = (960, 540)
+    fog: Fog | None = None
 
 
 def aimed(position: Sequence[float], target: Sequence[float] | None) -> np.ndarray:

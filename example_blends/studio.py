@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from . import shapes
-from .model import Model, Ramp, Surface
+from .model import Fog, Lamp, Model, Ramp, Surface
 from .model import aimed as aimed_matrix
 
 Colour = Sequence[float]
@@ -173,20 +173,77 @@ NODES = {
 
 def build_model(model: Model) -> None:
     """Leave a `model.Model` as bpy's open file."""
-    empty_stage(model.world, model.size)
-    surfaces: dict[str, bpy.types.Material] = {}
+    scene = empty_stage(model.world, model.size)
+    if model.fog is not None:
+        output = next(node for node in scene.world.node_tree.nodes if node.type == "OUTPUT_WORLD")
+        _fill(scene.world.node_tree, model.fog, output)
+    made: dict[str, bpy.types.Material] = {}
     for thing in model.things:
-        if thing.surface.name not in surfaces:
-            surfaces[thing.surface.name] = _shaded(thing.surface)
-        data = mesh(thing.name, *thing.shape, surfaces[thing.surface.name], thing.smooth)
+        surface = thing.surface
+        if surface.name not in made:
+            made[surface.name] = _foggy(surface) if isinstance(surface, Fog) else _shaded(surface)
+        data = mesh(thing.name, *thing.shape, made[surface.name], thing.smooth)
         if thing.uv is not None:
             data.uv_layers.new(name="UVMap").data.foreach_set("uv", thing.uv.astype(np.float32).ravel())
-        place(thing.name, data)
+        placed = place(thing.name, data)
+        if isinstance(surface, Fog):
+            placed.display_type = "WIRE"  # or it would hide in the viewport what is in it
     for lamp in model.lamps:
-        placed = light(lamp.kind, lamp.position, lamp.power, lamp.colour, name=lamp.name, **lamp.properties)
+        placed = _laser(lamp) if lamp.kind == "LASER" else _light(lamp)
         placed.matrix_world = Matrix(aimed_matrix(lamp.position, lamp.target))
         placed.visible_camera = lamp.seen
     camera(model.view.position, model.view.target, model.view.lens)
+
+
+def _light(lamp: Lamp) -> bpy.types.Object:
+    return light(lamp.kind, lamp.position, lamp.power, lamp.colour, name=lamp.name, **lamp.properties)
+
+
+def _laser(lamp: Lamp) -> bpy.types.Object:
+    """A narrow spot light to all engines but CV Render.
+
+    Where CV Render is not installed its properties are put where Blender up to 4.5 keeps them, and where
+    later ones look when they open such a file.
+    """
+    placed = light("SPOT", lamp.position, lamp.power, lamp.colour, name=lamp.name, spot_size=np.radians(2))
+    data, radius, length = placed.data, lamp.properties["radius"], lamp.properties["length"]
+    data.shadow_soft_size = radius
+    if hasattr(data, "cv_render"):
+        data.cv_render.is_laser, data.cv_render.beam_radius, data.cv_render.length = True, radius, length
+    else:
+        data["cv_render"] = {"is_laser": True, "beam_radius": float(radius), "length": float(length)}
+    return placed
+
+
+def _foggy(fog: Fog) -> bpy.types.Material:
+    made = bpy.data.materials.new(fog.name)
+    _with_nodes(made)
+    made.node_tree.nodes.clear()
+    output = made.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    output.location = (220, 0)
+    _fill(made.node_tree, fog, output)
+    return made
+
+
+def _fill(tree: bpy.types.NodeTree, fog: Fog, output: bpy.types.Node) -> None:
+    """Link the nodes of ``fog`` to the volume of an ``output``."""
+    scatter = tree.nodes.new("ShaderNodeVolumeScatter")
+    scatter.location = (-240, -160)
+    scatter.inputs["Color"].default_value = (*fog.colour, 1.0)
+    scatter.inputs["Density"].default_value = fog.density
+    scatter.inputs["Anisotropy"].default_value = fog.anisotropy
+    volume = scatter.outputs[0]
+    if any(fog.absorption):
+        # The node absorbs density times what its colour lacks of white.
+        absorb, both = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("VolumeAbsorption", "AddShader"))
+        absorb.location, both.location = (-240, -340), (0, -200)
+        density = max(fog.absorption)
+        absorb.inputs["Color"].default_value = (*(1 - np.array(fog.absorption) / density), 1.0)
+        absorb.inputs["Density"].default_value = density
+        tree.links.new(volume, both.inputs[0])
+        tree.links.new(absorb.outputs[0], both.inputs[1])
+        volume = both.outputs[0]
+    tree.links.new(volume, output.inputs["Volume"])
 
 
 def _shaded(surface: Surface) -> bpy.types.Material:

@@ -13,13 +13,29 @@ from functools import partial
 
 import numpy as np
 
-from engine_core import AreaLight, Camera, Light, Material, Mesh, PointLight, Scene, World
+from engine_core import (
+    AreaLight,
+    Camera,
+    Laser,
+    Light,
+    Material,
+    Mesh,
+    PointLight,
+    Scene,
+    SpotLight,
+    SunLight,
+    Volume,
+    World,
+)
 from engine_core.shading import closures, coordinates, ramps, textures
 from engine_core.shading.values import compute
-from example_blends.model import Lamp, Model, Ramp, Surface, Thing, aimed
+from example_blends.model import Fog, Lamp, Model, Ramp, Surface, Thing, aimed
 from example_blends.shapes import corner_normals
 
-MODELS = ("slats", "studio_spheres", "veach_plates", "violin")
+FOGS = (
+    "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage", "fog_ball", "fog_area", "leaves",
+)  # fmt: skip
+MODELS = ("slats", "studio_spheres", "veach_plates", "violin", *FOGS)
 
 
 def example(name: str, width: int, height: int) -> Scene:
@@ -29,19 +45,28 @@ def example(name: str, width: int, height: int) -> Scene:
 
 def scene(model: Model, width: int, height: int) -> Scene:
     """``model`` at this size."""
-    surfaces = {thing.surface.name: thing.surface for thing in model.things}
-    numbers = {name: number for number, name in enumerate(surfaces)}
+    made = {thing.surface.name: thing.surface for thing in model.things}
+    fogs = [what for what in made.values() if isinstance(what, Fog)]
+    surfaces = [what for what in made.values() if isinstance(what, Surface)]
+    numbers = {what.name: number for kind in (fogs, surfaces) for number, what in enumerate(kind)}
+    everywhere = [] if model.fog is None else [model.fog]
     view = model.view
     return Scene(
         Camera.look_at(view.position, view.target, width, height, view.field_of_view, clip_start=0.1),
         [_mesh(thing, numbers[thing.surface.name]) for thing in model.things],
-        [_material(surface) for surface in surfaces.values()],
+        [_material(surface) for surface in surfaces],
         _lights(model.lamps),
-        World(model.world),
+        World(model.world, volume=len(fogs) if everywhere else -1),
+        volumes=[_volume(fog) for fog in (*fogs, *everywhere)],
     )
 
 
-def _mesh(thing: Thing, material: int) -> Mesh:
+def _volume(fog: Fog) -> Volume:
+    return Volume(np.multiply(fog.colour, fog.density), fog.absorption, fog.anisotropy, name=fog.name)
+
+
+def _mesh(thing: Thing, number: int) -> Mesh:
+    """number : of its material, or of its fog."""
     vertices, faces = thing.shape
     fan = [(0, k, k + 1) for k in range(1, faces.shape[1] - 1)]
     triangles = np.concatenate([faces[:, corners] for corners in fan])
@@ -51,7 +76,11 @@ def _mesh(thing: Thing, material: int) -> Mesh:
         fields["normals"] = np.concatenate([normals[:, corners] for corners in fan])
     if thing.uv is not None:
         fields["attributes"] = {"uv:UVMap": np.concatenate([thing.uv[:, corners] for corners in fan])}
-    return Mesh(vertices, triangles, materials=material, name=thing.name, **fields)
+    if isinstance(thing.surface, Fog):
+        fields |= {"volume": number, "surface": False}
+    else:
+        fields["materials"] = number
+    return Mesh(vertices, triangles, name=thing.name, **fields)
 
 
 def _material(surface: Surface) -> Material:
@@ -84,11 +113,23 @@ def _lights(lamps: Iterable[Lamp]) -> list[Light]:
             "visible_to_camera": lamp.seen,
             "name": lamp.name,
         }
-        if lamp.kind == "POINT":
-            radius, sphere = properties["shadow_soft_size"], not properties.get("use_soft_falloff", True)
-            lights.append(PointLight(position=lamp.position, radius=radius, sphere=sphere, **shared))
-        else:
+        if lamp.kind == "SUN":
+            lights.append(SunLight(direction=-matrix[:3, 2], angle=properties["angle"], **shared))
+        elif lamp.kind == "LASER":
+            beam = {"radius": properties["radius"], "length": properties["length"] or np.inf}
+            lights.append(Laser(light_to_world=matrix, **beam, **shared))
+        elif lamp.kind == "AREA":
             size = (properties["size"], properties.get("size_y", properties["size"]))
             ellipse = properties["shape"] in ("DISK", "ELLIPSE")
             lights.append(AreaLight(light_to_world=matrix, size=size, ellipse=ellipse, **shared))
+        else:
+            shared |= {
+                "radius": properties["shadow_soft_size"],
+                "sphere": not properties.get("use_soft_falloff", True),
+            }
+            if lamp.kind == "POINT":
+                lights.append(PointLight(position=lamp.position, **shared))
+            else:
+                cone = {"angle": properties["spot_size"], "blend": properties["spot_blend"]}
+                lights.append(SpotLight(light_to_world=matrix, **cone, **shared))
     return lights

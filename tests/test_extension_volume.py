@@ -274,6 +274,14 @@ def test_an_object_is_parted_where_its_materials_have_volumes(cv: ModuleType, sc
     assert [volume.name for volume in exported.volumes] == ["Fog", "Dark"] and not messages
 
 
+def test_a_slot_that_no_face_has_fills_nothing(cv: ModuleType, scene: Any) -> None:
+    cube = add_cube(scene, 1, diffuse("Wall", (1, 0, 0)))
+    cube.data.materials.append(fog(SCATTER))
+    exported, _ = export(cv)
+    (mesh,) = exported.meshes
+    assert mesh.volume == -1 and mesh.surface and not exported.volumes
+
+
 def test_volume_of_the_world(cv: ModuleType, scene: Any) -> None:
     add_cube(scene, 1, fog(SCATTER))
     feed(scene.world, node(scene.world, SCATTER, Color=(1, 1, 1, 1), Density=0.125))
@@ -393,6 +401,17 @@ def test_visibility_of_fog(cv: ModuleType, scene: Any, told: str) -> None:
     assert messages == [f'Object "Cube": volume of material "Fog": {told}'] and len(volumes) == 1
     exported, _ = export(cv)
     assert len(exported.meshes) == (0 if "camera" in told else 1)
+
+
+def test_smoke_is_left_out(cv: ModuleType, scene: Any) -> None:
+    """Its density is what the simulation says, not the material."""
+    cube = add_cube(scene, 1, fog(PRINCIPLED))
+    modifier = cube.modifiers.new("Smoke", "FLUID")
+    modifier.show_render = modifier.show_viewport = False
+    modifier.fluid_type = "DOMAIN"
+    volumes, messages = fogs(cv)
+    told = "smoke of a fluid simulation is not supported yet, it is left out"
+    assert not volumes and messages == [f'Object "Cube": volume of material "Fog": {told}']
 
 
 def test_lights_that_should_not_light_fog(cv: ModuleType, scene: Any) -> None:

@@ -122,6 +122,8 @@ class Objects:
     ) -> list[Placed]:
         """The mesh; in parts where some of its materials have volumes, as what each material bounds."""
         whole = Placed(obj.name, mesh, looks, np.array(slots, np.int32))
+        if not any(self.materials.fogs[number] for number in slots):
+            return [whole]
         numbers = np.asarray(whole.materials)
         used = [int(number) for number in np.unique(numbers)]
         foggy = [number for number in used if self.materials.fogs[number] is not None]
@@ -149,6 +151,9 @@ class Objects:
         def tell(problem: str) -> None:
             self._messages.add(named(obj), f"{owner}: {problem}")
 
+        if any(modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN" for modifier in obj.modifiers):
+            tell("smoke of a fluid simulation is not supported yet, it is left out")
+            return -1
         if number not in self._volumes or fog.varies:
             volume, problems = fog.volume(Region.of(mesh.vertices, matrix))
             if volume is not None:

@@ -123,7 +123,7 @@ class SphericalEllipse:
         self._height = -dot(facing, centre)
         scale = 1 / np.maximum(half_x, half_y)
         p, q = 1 / (half_x * scale), 1 / (half_y * scale)
-        h = np.maximum(self._height, np.float32(1e-30)) * scale
+        h = np.maximum(self._height * scale, np.float32(1e-15))
         xc, yc = dot(self._x, centre) * (scale * p), dot(self._y, centre) * (scale * q)
         # In the ellipse's own axes, z towards its plane: (h p x - xc z)^2 + (h q y - yc z)^2 - z^2.
         hp, hq = h * p, h * q

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which light a sample of the fog along a ray goes to.
+
+As `light_choice` for surfaces, but in proportion to a quick estimate of what each light, unshadowed, would
+scatter from a whole segment of a camera ray,
+
+    integral from start to end of exp(-extinction (t - start)) exp(-leg r) strength / r^2 dt.
+
+Without extinction that is the angle that the light sees the segment under, over its distance D from the ray
+(thesis eq. 6.5); segments are cut by the cone of a spot or area light first. Of many lights few are weighed
+for every segment, those that pilot rays through a cell of the picture find to stand for all: see
+`light_choice.Clusters`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..geometry.vectors import dot, take
+from .light_choice import WEIGHED, CandidateLights, Choice, Clusters, Lights, WeighedLights, weighed_clusters
+
+# What no length exceeds, so that float32 has room for its square, and that square times another.
+_FAR = np.float32(1e9)
+_LARGEST = np.float32(1e30)
+
+# What part of a flat light's most intensity is expected of it at any angle.
+_LEAST = np.float32(0.02)
+
+# How near a ray a light can be, as a part of its distance: nearer, float32 has no digits.
+_NEAREST = np.float32(1e-6)
+
+
+class Segments(NamedTuple):
+    """Parts (...) of rays in fog, packed as what chooses lights takes them: see `segments`."""
+
+    place: np.ndarray
+    direction: np.ndarray
+
+    def reshape(self, *shape: int) -> Segments:
+        return Segments(*(x.reshape(len(x), *shape) for x in self))
+
+
+def segments(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    start: np.ndarray,
+    end: np.ndarray,
+    extinction: np.ndarray,
+    leg: np.ndarray | float = 0.0,
+) -> Segments:
+    """Segments from ``start`` to ``end`` (...) of rays ``origin``, ``direction`` (3, ...), which is unit.
+
+    extinction : (...) of the fog there, leg : of all space, on the way from a light; each the least of all
+    channels, as these say what fog does not let through.
+    """
+    start, end, extinction, leg = (
+        np.clip(x, 0, _FAR) for x in np.broadcast_arrays(start, end, extinction, leg)
+    )
+    return Segments(
+        np.concatenate([origin, np.stack([start, end, extinction, leg])]).astype(np.float32),
+        np.asarray(direction, np.float32),
+    )
+
+
+class AirLights:
+    """Lights as segments see them, in the place of `Lights` for what chooses among these.
+
+    only : (L,) ascending numbers of the lights that are meant.
+    """
+
+    def __init__(self, lights: Lights, only: np.ndarray | None = None) -> None:
+        self.only = np.arange(len(lights)) if only is None else np.asarray(only, np.intp)
+        axis, cos, brightness = np.zeros((3, len(lights))), np.full(len(lights), -1.0), np.zeros(len(lights))
+        flat = np.zeros(len(lights), bool)
+        for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
+            brightness[start:stop] = group.far_fluence
+            if group.cone_cos is not None:
+                axis[:, start:stop], cos[start:stop] = group.cone_axis, group.cone_cos
+            if group.is_flat:
+                flat[start:stop], self._flat_group, self._first_flat = True, group, start
+        self._far_off = np.isinf(lights.reach.take(self.only))
+        cos = cos.take(self.only)
+        self._coned, self._flat = cos >= 0, flat.take(self.only)
+        reach = np.where(self._far_off, 0, lights.reach.take(self.only))
+        centre, axis = take(lights.centre, self.only), take(axis, self.only)
+        # The cone that holds all points' cones begins behind the light: about its sphere, or its rim if flat.
+        cos = np.clip(cos, 0, 1)
+        sin = np.maximum(np.sqrt(1 - cos * cos), 1e-3)
+        apex = centre - reach * np.where(self._flat, cos, 1) / sin * axis
+        most = 0.3 * _FAR
+        self._centre, self._apex, self._axis, self._cos, self._reach = (
+            np.clip(x, -most, most).astype(np.float32) for x in (centre, apex, axis, cos, reach)
+        )
+        self._brightness = np.minimum(brightness.take(self.only), _LARGEST).astype(np.float32)
+
+    def __len__(self) -> int:
+        return len(self.only)
+
+    def irradiance(
+        self, place: np.ndarray, direction: np.ndarray, which: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(L', M) estimates for segments (7, M), (3, M) of all lights, or of ``which`` (L',)."""
+        which = np.arange(len(self)) if which is None else which
+        start, end, extinction, leg = place[3:]
+        near = np.flatnonzero(~self._far_off.take(which))
+        far = np.flatnonzero(self._far_off.take(which))
+        estimate = np.empty((len(which), place.shape[1]), np.float32)
+        if near.size:
+            estimate[near] = self._near(which.take(near), place[:3], direction, start, end, extinction, leg)
+        if far.size:
+            # What fog lets through along the segment; where it fills all space, no light comes from far off.
+            length = np.maximum(end - start, 0)
+            estimate[far] = length / (1 + extinction * length) * (leg == 0)
+        estimate *= self._brightness.take(which)[:, None]
+        return np.minimum(estimate, _LARGEST, out=estimate)
+
+    def _near(self, which, origin, direction, start, end, extinction, leg) -> np.ndarray:
+        """(L', M) estimates of lights of finite distance, for unit strength."""
+        to_light, foot, square = self._seen(self._centre, which, origin, direction)
+        reach = self._reach.take(which)[:, None]
+        # A light of some size has no more to give the nearer it is.
+        floor = _NEAREST * np.sqrt(dot(to_light, to_light))
+        floor += np.float32(1e-18)
+        square = np.maximum(square, floor * floor) + reach * reach
+        low, high = np.broadcast_to(start, foot.shape), np.broadcast_to(end, foot.shape)
+        coned = np.flatnonzero(self._coned.take(which))
+        if coned.size:
+            low, high = low.copy(), high.copy()
+            first, last = self._lit(which.take(coned), origin, direction)
+            low[coned] = np.minimum(np.maximum(low[coned], first), _FAR)
+            high[coned] = np.minimum(high[coned], last)
+        high = np.maximum(high, low)
+        # By the segment's fog, from its start on, and by that of all space, from the light: the integral's
+        # two humps are where it begins, and where it is nearest to the light.
+        nearest = np.clip(foot, low, high)
+        x, middle = low - foot, nearest - foot
+        at_start = np.exp(-(extinction * (low - start) + leg * np.sqrt(square + x * x)))
+        at_middle = np.exp(-(extinction * (nearest - start) + leg * np.sqrt(square + middle * middle)))
+        range_ = 1 / np.maximum(extinction, 1 / _FAR)
+        beyond = 1 / np.maximum(extinction + leg, 1 / _FAR)
+        ends = np.minimum(high, low + range_), np.minimum(high, nearest + beyond)
+        humps = [
+            at * _angle(square, x, end - foot) for at, end in zip((at_start, at_middle), ends, strict=True)
+        ]
+        flat = np.flatnonzero(self._flat.take(which))
+        if flat.size:
+            for hump, end in zip(humps, ends, strict=True):
+                # The cone's ends are dark.
+                quarter = 0.25 * (end[flat] - low[flat])
+                t = np.clip(foot[flat], low[flat] + quarter, end[flat] - quarter)
+                hump[flat] *= self._falloff(which.take(flat), t * direction[:, None, :] - to_light[:, flat])
+        return np.maximum(*humps, out=humps[0])
+
+    @staticmethod
+    def _seen(
+        table: np.ndarray, which: np.ndarray, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vectors (3, L', M) from the origins to points, where rays pass them, squared distances of that."""
+        vector = take(table, which)[:, :, None] - origin[:, None, :]
+        foot = dot(vector, direction[:, None, :])
+        beside = vector - foot * direction[:, None, :]
+        return vector, foot, dot(beside, beside)
+
+    def _lit(
+        self, which: np.ndarray, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(L', M) from where to where rays are within lights' cones; the first is the larger if never."""
+        vector, foot, square = self._seen(self._apex, which, origin, direction)
+        axis, cos = take(self._axis, which)[:, :, None], self._cos.take(which)[:, None]
+        slope = dot(axis, direction[:, None, :])
+        # At the foot, along the axis.
+        height = foot * slope - dot(axis, vector)
+        a = slope * slope - cos * cos
+        a = np.copysign(np.maximum(np.abs(a), np.float32(1e-12)), a)
+        radicand = height * height + square * a
+        root = cos * np.sqrt(np.maximum(radicand, 0))
+        one, other = (-height * slope - root) / a, (-height * slope + root) / a
+        wide = a > 0
+        first = np.where(wide, np.where(slope > 0, other, -_FAR), np.minimum(one, other))
+        last = np.where(wide, np.where(slope > 0, _FAR, one), np.maximum(one, other))
+        # What runs steeper than the cone meets it twice, or its mirror image, or nothing.
+        never = ~wide & ((radicand < 0) | (height <= 0))
+        return np.where(never, _FAR, foot + first), np.where(never, -_FAR, foot + last)
+
+    def _falloff(self, which: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        """(L', M) of flat lights towards points at ``vector`` (3, L', M) from them; never quite dark."""
+        number = (self.only.take(which) - self._first_flat)[:, None]
+        cosine = dot(take(self._axis, which)[:, :, None], vector)
+        inverse = 1 / np.sqrt(np.maximum(dot(vector, vector), np.float32(1e-30)))
+        cosine *= inverse
+        size = np.minimum(self._reach.take(which)[:, None] * inverse, 1)
+        cosine += size
+        cosine /= 1 + size
+        group = self._flat_group
+        least = _LEAST * group.falloff(number, np.ones(number.shape, np.float32))
+        return group.falloff(number, np.clip(cosine, 0, 1)) + least
+
+
+def _angle(square: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Integral of 1 / (square + x^2) from ``low`` to ``high``, at most 22 % too small.
+
+    That is angle / D; the angle 2 atan(s) of s = tan(angle / 2) is taken for 2 s / (1 + 2 s / pi).
+    """
+    step = np.maximum(high - low, 0)
+    below = np.sqrt((square + low * low) * (square + high * high)) + square + low * high
+    return 2 * step / (np.maximum(below, 0) + np.float32(2 / np.pi) * np.sqrt(square) * step)
+
+
+class FogChoice:
+    """A discrete distribution over lights for every segment, in which none of them has no chance."""
+
+    def __init__(self, lights: AirLights, clusters: list[Clusters] | None) -> None:
+        """clusters : of each cell, as `fog_clusters` finds them; None for at most `WEIGHED` lights."""
+        self._lights = lights
+        self._choice = WeighedLights(lights) if clusters is None else CandidateLights(lights, clusters)
+
+    def choose(self, where: Segments, cell: np.ndarray | None, w: np.ndarray) -> Choice:
+        """Lights (M * S,), their probabilities, and ``w`` (M, S) stretched over what was chosen.
+
+        where : M segments. cell : (M,) of these. w : uniform in (0, 1).
+        """
+        light, chance, w = self._choice.choose(*where, cell, w)
+        return self._lights.only.take(light), chance, w
+
+    def pdf(self, light: np.ndarray, where: Segments, cell: np.ndarray | None) -> np.ndarray:
+        """(N,) probabilities with which `choose` takes ``light`` (N,) for segments (N,) of ``cell`` (N,)."""
+        return self._choice.pdf(np.searchsorted(self._lights.only, light), *where, cell)
+
+
+def fog_clusters(
+    lights: AirLights, where: Segments, found: np.ndarray, between: Callable[[], None] = lambda: None
+) -> list[Clusters] | None:
+    """The clusters of lights in K cells, None where all lights can be weighed for every segment.
+
+    where : segments (K, P), P pilots a cell. found : (K, P) bool, which of them are in fog.
+    between : called now and then; may raise, to give up.
+    """
+    if len(lights) <= WEIGHED:
+        return None
+    return weighed_clusters(lights, *where, found.astype(np.float32), between)

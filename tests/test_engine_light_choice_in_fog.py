@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The choice among lights in fog: probabilities that are what they say, near what each light scatters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scenes import mixed_lights, place
+from scipy import integrate, stats
+from test_engine_light_choice import lights_of
+
+from engine_core import AreaLight, Light, PointLight, SpotLight
+from engine_core.transport.light_choice import CANDIDATES, WEIGHED, Lights
+from engine_core.transport.light_choice_in_fog import (
+    AirLights,
+    FogChoice,
+    Segments,
+    fog_clusters,
+    segments,
+)
+
+CELLS, START, END = 6, 0.1, 14.0
+FOGS = {"thin": (1e-3, 0.0), "a body": (0.5, 0.0), "everywhere": (0.3, 0.3), "thick": (3.0, 3.0)}
+
+
+def rays(pilots: int, seed: int, extinction: float = 0.1, leg: float = 0.0) -> Segments:
+    """Segments (CELLS, pilots) of rays from the origin through squares side by side."""
+    random = np.random.default_rng(seed)
+    column, row = np.divmod(np.arange(CELLS), 2)
+    x, y = 0.04 * (np.stack([column, row])[:, :, None] + random.random((2, CELLS, pilots))) - 0.07
+    direction = np.stack([x, y, -np.ones_like(x)])
+    direction /= np.linalg.norm(direction, axis=0)
+    return segments(0 * direction, direction, 0 * x + START, END, extinction, leg)
+
+
+def choice_of(lights: Lights, extinction: float = 0.1, leg: float = 0.0, hits: bool = True) -> FogChoice:
+    air = AirLights(lights)
+    found = np.full((CELLS, 64), hits)
+    return FogChoice(air, fog_clusters(air, rays(64, 5, extinction, leg), found))
+
+
+def flat(where: Segments) -> tuple[Segments, np.ndarray]:
+    """All segments in a row, and their cells."""
+    _, cells, count = where.place.shape
+    return where.reshape(cells * count), np.repeat(np.arange(cells), count)
+
+
+def all_chances(choice: FogChoice, lights: Lights, where: Segments, cell: np.ndarray) -> np.ndarray:
+    """(L, M) probabilities of every light for every segment."""
+    count, size = len(lights), len(cell)
+    at = np.repeat(np.arange(size), count)
+    each = Segments(*(x[:, at] for x in where))
+    return choice.pdf(np.tile(np.arange(count), size), each, cell[at]).reshape(size, count).T
+
+
+def points(count: int, seed: int = 1) -> list[Light]:
+    random = np.random.default_rng(seed)
+    low, high = (-4, -4, -12), (4, 4, -1)
+    return [PointLight(50 * random.random() ** 3, position=random.uniform(low, high)) for _ in range(count)]
+
+
+def spots(count: int, seed: int = 1) -> list[Light]:
+    random = np.random.default_rng(seed)
+    return [
+        SpotLight(
+            random.random(),
+            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            angle=random.uniform(0.4, 2.5),
+            radius=0.2 * (i % 2),
+        )
+        for i in range(count)
+    ]
+
+
+def areas(count: int, seed: int = 1) -> list[Light]:
+    random = np.random.default_rng(seed)
+    return [
+        AreaLight(
+            random.random(),
+            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            size=(0.6, 0.3),
+            ellipse=i % 3 == 0,
+            spread=np.pi if i % 2 else 1.0,
+        )
+        for i in range(count)
+    ]
+
+
+def airlight(lights: Lights, where: Segments, extinction: float, leg: float, nodes: int = 200) -> np.ndarray:
+    """(L, M) of unshadowed light, scattered alike to all sides; equiangular, anywhere on lights of a size."""
+    random = np.random.default_rng(6)
+    x, weight = np.polynomial.legendre.leggauss(nodes)
+    direction = where.direction.astype(float)
+    result = np.zeros((len(lights), direction.shape[1]))
+    for group, first in zip(lights.groups, lights.first, strict=False):
+        for number in range(len(group)):
+            foot = group.centre[:, number] @ direction
+            near = np.linalg.norm(group.centre[:, number, None] - foot * direction, axis=0)
+            a, b = (np.arctan((end - foot) / near) for end in (START, END))
+            theta = 0.5 * (a + b) + 0.5 * (b - a) * x[:, None]
+            t = foot + near * np.tan(theta)
+            step = 0.5 * (b - a) * weight[:, None] * near / np.cos(theta) ** 2
+            position = (t * direction[:, None, :]).reshape(3, -1)
+            u = random.random((3, position.shape[1]), np.float32)
+            to_light, measure = group.sample(np.full(position.shape[1], number), position, None, u[0], u[1:])
+            r = np.linalg.norm(to_light, axis=0).reshape(t.shape)
+            light = measure.reshape(t.shape) * np.exp(-extinction * (t - START) - leg * r)
+            result[first + number] = (light * step).sum(axis=0) * group.strength[:, number].mean()
+    return result
+
+
+KINDS = {"points": (points, 0.2), "spots": (spots, 0.8), "areas": (areas, 5.0)}
+
+
+@pytest.mark.parametrize("fog", FOGS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_less_variance_than_an_even_choice(kind: str, fog: str):
+    lamps, most = KINDS[kind]
+    lights, count = lights_of(lamps(100)), 100
+    where, cell = flat(rays(4, 9, *FOGS[fog]))
+    truth = airlight(lights, where, *FOGS[fog])
+    total = truth.sum(axis=0)
+    chance = all_chances(choice_of(lights, *FOGS[fog]), lights, where, cell)
+    chosen = ((truth**2 / chance).sum(axis=0) - total**2) / total**2
+    even = (count * (truth**2).sum(axis=0) - total**2) / total**2
+    assert chosen.mean() < most
+    assert chosen.mean() < 0.2 * even.mean()
+
+
+def test_a_thousand_lights_cost_a_few_and_have_hardly_more_variance():
+    lights = lights_of(points(1000))
+    fog = FOGS["thin"]
+    choice = choice_of(lights, *fog)
+    assert all(len(c.candidates) <= CANDIDATES for c in choice._choice._clusters)
+    where, cell = flat(rays(2, 9, *fog))
+    truth = airlight(lights, where, *fog, nodes=40)
+    total = truth.sum(axis=0)
+    chance = all_chances(choice, lights, where, cell)
+    chosen = ((truth**2 / chance).sum(axis=0) - total**2) / total**2
+    even = (1000 * (truth**2).sum(axis=0) - total**2) / total**2
+    assert chosen.max() < 0.2 and chosen.mean() < 0.02 * even.mean()
+
+
+def test_a_light_next_to_a_ray_is_weighed_by_its_nearness():
+    """100 lights alike, of which each ray nearly meets one."""
+    x, y = np.meshgrid(np.linspace(-0.4, 0.4, 10), np.linspace(-0.4, 0.4, 10))
+    lights = lights_of([PointLight(1.0, position=(*p, -8.0)) for p in zip(x.flat, y.flat, strict=True)])
+    chosen = np.array([44, 55, 46])
+    direction = lights.centre[:, chosen] + 1e-3
+    direction /= np.linalg.norm(direction, axis=0)
+    where = segments(0 * direction, direction, np.full(3, START), END, 0.1)
+    chance = all_chances(choice_of(lights), lights, where, np.array([3, 3, 5]))
+    assert (chance.argmax(axis=0) == chosen).all()
+    assert (chance.max(axis=0) > 0.6).all()
+
+
+@pytest.mark.parametrize("count", [WEIGHED - 5, 100])
+@pytest.mark.parametrize("hits", [True, False])
+def test_probabilities_are_positive_and_sum_to_one(count: int, hits: bool):
+    lights = lights_of(mixed_lights(count), world=0.5)
+    where, cell = flat(rays(10, 8))
+    chance = all_chances(choice_of(lights, hits=hits), lights, where, cell)
+    assert (chance > 0).all()
+    assert chance.sum(axis=0) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("count", [WEIGHED - 5, 100])
+def test_lights_are_chosen_as_often_as_pdf_says(count: int):
+    lights = lights_of(mixed_lights(count), world=0.5)
+    only = np.setdiff1d(np.arange(len(lights)), [3, 4, 17])
+    air = AirLights(lights, only)
+    choice = FogChoice(air, fog_clusters(air, rays(64, 5), np.ones((CELLS, 64), bool)))
+    where, cell = flat(rays(1, 8))
+    split = 20_000
+    w = (np.arange(split) + np.random.default_rng(3).random((CELLS, split))) / split
+    light, chance, left = choice.choose(where, cell, w.astype(np.float32))
+    assert np.isin(light, only).all()
+    at = np.repeat(np.arange(CELLS), split)
+    each = Segments(*(x[:, at] for x in where))
+    assert choice.pdf(light, each, cell[at]) == pytest.approx(chance, rel=1e-4)
+    assert stats.kstest(left, "uniform").statistic < 0.01
+    for segment in range(CELLS):
+        counts = np.bincount(light[at == segment], minlength=len(lights))[only]
+        one = Segments(*(np.repeat(x[:, [segment]], len(only), axis=1) for x in where))
+        expected = choice.pdf(only, one, np.full(len(only), segment)) * split
+        # Stratified: within a sample or two.
+        assert (np.abs(counts - expected) < 3 + 1e-4 * split).all()
+
+
+def test_a_cell_does_not_depend_on_its_company():
+    lights = lights_of(mixed_lights(80))
+    air = AirLights(lights)
+    where, found = rays(64, 5), np.ones((CELLS, 64), bool)
+    together = fog_clusters(air, where, found)
+    alone = fog_clusters(air, Segments(*(x[:, 2:3] for x in where)), found[2:3])
+    assert np.array_equal(together[2].candidates, alone[0].candidates)
+    assert np.array_equal(together[2].table, alone[0].table)
+
+
+@pytest.mark.parametrize("position", [(0, 0, 0), (0, 0, -3), (0, 0, 5), (1e12, 0, 0), (1e-12, 0, -1e-12)])
+@pytest.mark.parametrize("end", [1e-20, 3.0, np.inf])
+@pytest.mark.parametrize("extinction", [0.0, 1e-30, 1.0, 1e30])
+def test_nasty_places_leave_a_distribution(position: tuple[float, ...], end: float, extinction: float):
+    pose = place(position)
+    lamps = [
+        PointLight(1.0, position=position),
+        PointLight(1e30, position=position, radius=2.0),
+        SpotLight(1.0, light_to_world=pose, angle=1e-3),
+        SpotLight(1.0, light_to_world=pose, angle=np.pi),
+        AreaLight(1.0, light_to_world=pose),
+        AreaLight(1.0, light_to_world=pose, spread=0.01),
+    ]
+    lights = lights_of(lamps, world=1.0)
+    direction = np.array([(0, 0, -1), (0, 0, 1), (1, 0, 0), (0.6, 0, -0.8)], float).T
+    where = segments(0 * direction, direction, np.zeros(4), end, extinction, extinction)
+    with np.errstate(all="raise", under="ignore"):
+        chance = all_chances(choice_of(lights), lights, where, np.zeros(4, int))
+    assert (chance > 0).all()
+    assert chance.sum(axis=0) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("where", [(0.3, 0.2, -1.0), (2.0, 0.0, 3.0), (0.0, 1e-3, -6.0)])
+def test_estimate_without_extinction_is_the_integral(where: Sequence[float]):
+    air = AirLights(lights_of([PointLight(4 * np.pi, position=where)]))
+    (estimate,) = air.irradiance(*segments(np.zeros((3, 1)), [[0], [0], [-1.0]], [0.5], [9.0], [0.0]))
+    centre = np.array(where)
+    truth, _ = integrate.quad(
+        lambda t: 1 / ((centre + (0, 0, t)) ** 2).sum(), 0.5, 9, points=[-where[2]], limit=500
+    )
+    assert 0.75 * truth < estimate[0] < 1.01 * truth
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.3])
+def test_segments_are_cut_by_all_that_a_spot_lights(radius: float):
+    """What any point of the light lights lies within the cut: by brute force."""
+    random = np.random.default_rng(3)
+    for seed in range(40):
+        pose = place(random.uniform(-2, 2, 3), random.uniform(-3, 3, 3), random.uniform(0.5, 2, 3))
+        spot = SpotLight(1.0, light_to_world=pose, radius=radius, angle=random.uniform(0.2, 2.8))
+        lights = lights_of([spot])
+        direction = random.normal(size=(3, 1))
+        direction /= np.linalg.norm(direction)
+        t = np.linspace(0, 8, 400)
+        u = np.random.default_rng(seed).random((3, 400), np.float32)
+        _, measure = lights.groups[0].sample(None, t * direction, None, u[0], u[1:])
+        air = AirLights(lights)
+        origin = np.zeros((3, 1), np.float32)
+        first, last = (x[0, 0] for x in air._lit(np.zeros(1, int), origin, direction.astype(np.float32)))
+        lit = t[measure > 1e-4 * measure.max(initial=1e-30)]
+        # From within the light its cone counts for nothing.
+        lit = lit[np.linalg.norm(lit * direction - lights.centre, axis=0) > radius]
+        assert ((lit > first - 1e-3) & (lit < last + 1e-3)).all()

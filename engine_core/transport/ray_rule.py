@@ -279,7 +279,9 @@ class _Pieces:
         self.whole = _sums(lane, self._means(), n)
 
     def _means(self) -> np.ndarray:
-        return np.matmul(self._quadrature.weights, self._values)
+        # A product of two matrices each: many at once are not left to BLAS.
+        flat = self._values.reshape(-1, *self._values.shape[2:])
+        return np.stack([self._quadrature.weights @ one for one in flat]).reshape(*self._values.shape[:2], -1)
 
     def integral(self, lane: np.ndarray, s: np.ndarray) -> np.ndarray:
         """(G, C, X) integrals over lanes (X,) from 0 to s (X,)."""

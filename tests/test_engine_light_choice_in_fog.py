@@ -12,8 +12,9 @@ from scipy import integrate, stats
 from test_engine_light_choice import lights_of
 
 from engine_core import AreaLight, Light, PointLight, SpotLight
-from engine_core.transport.light_choice import CANDIDATES, WEIGHED, Lights
+from engine_core.transport.light_choice import CANDIDATES, Lights
 from engine_core.transport.light_choice_in_fog import (
+    WEIGHED,
     AirLights,
     FogChoice,
     Segments,
@@ -156,7 +157,7 @@ def test_a_light_next_to_a_ray_is_weighed_by_its_nearness():
     assert (chance.max(axis=0) > 0.6).all()
 
 
-@pytest.mark.parametrize("count", [WEIGHED - 5, 100])
+@pytest.mark.parametrize("count", [WEIGHED - 2, 100])
 @pytest.mark.parametrize("hits", [True, False])
 def test_probabilities_are_positive_and_sum_to_one(count: int, hits: bool):
     lights = lights_of(mixed_lights(count), world=0.5)
@@ -166,21 +167,21 @@ def test_probabilities_are_positive_and_sum_to_one(count: int, hits: bool):
     assert chance.sum(axis=0) == pytest.approx(1, abs=1e-5)
 
 
-@pytest.mark.parametrize("count", [WEIGHED - 5, 100])
+@pytest.mark.parametrize("count", [WEIGHED - 2, 100])
 def test_lights_are_chosen_as_often_as_pdf_says(count: int):
     lights = lights_of(mixed_lights(count), world=0.5)
     only = np.setdiff1d(np.arange(len(lights)), [3, 4, 17])
     air = AirLights(lights, only)
     choice = FogChoice(air, fog_clusters(air, rays(64, 5), np.ones((CELLS, 64), bool)))
     where, cell = flat(rays(1, 8))
-    split = 20_000
+    split = 4_000
     w = (np.arange(split) + np.random.default_rng(3).random((CELLS, split))) / split
     light, chance, left = choice.choose(where, cell, w.astype(np.float32))
     assert np.isin(light, only).all()
     at = np.repeat(np.arange(CELLS), split)
     each = Segments(*(x[:, at] for x in where))
     assert choice.pdf(light, each, cell[at]) == pytest.approx(chance, rel=1e-4)
-    assert stats.kstest(left, "uniform").statistic < 0.01
+    assert stats.kstest(left, "uniform").statistic < 0.02
     for segment in range(CELLS):
         counts = np.bincount(light[at == segment], minlength=len(lights))[only]
         one = Segments(*(np.repeat(x[:, [segment]], len(only), axis=1) for x in where))

@@ -20,7 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.vectors import dot, take
-from .light_choice import WEIGHED, CandidateLights, Choice, Clusters, Lights, WeighedLights, weighed_clusters
+from .light_choice import CandidateLights, Choice, Clusters, Lights, WeighedLights, weighed_clusters
+
+WEIGHED = 8
+"""How many lights are all weighed for every segment: it costs more than for a point of a surface."""
+
+# Lights x segments evaluated at once, so that the temporary arrays stay in the cache.
+_CHUNK = 1 << 15
 
 # What no length exceeds, so that float32 has room for its square, and that square times another.
 _FAR = np.float32(1e9)
@@ -104,6 +110,14 @@ class AirLights:
     ) -> np.ndarray:
         """(L', M) estimates for segments (7, M), (3, M) of all lights, or of ``which`` (L',)."""
         which = np.arange(len(self)) if which is None else which
+        step = max(1, _CHUNK // max(len(which), 1))
+        parts = [
+            self._estimate(place[:, first : first + step], direction[:, first : first + step], which)
+            for first in range(0, place.shape[1], step)
+        ]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def _estimate(self, place: np.ndarray, direction: np.ndarray, which: np.ndarray) -> np.ndarray:
         start, end, extinction, leg = place[3:]
         near = np.flatnonzero(~self._far_off.take(which))
         far = np.flatnonzero(self._far_off.take(which))
@@ -121,10 +135,10 @@ class AirLights:
         """(L', M) estimates of lights of finite distance, for unit strength."""
         to_light, foot, square = self._seen(self._centre, which, origin, direction)
         reach = self._reach.take(which)[:, None]
+        floor = _NEAREST * foot
+        square = np.maximum(square, floor * floor)
         # A light of some size has no more to give the nearer it is.
-        floor = _NEAREST * np.sqrt(dot(to_light, to_light))
-        floor += np.float32(1e-18)
-        square = np.maximum(square, floor * floor) + reach * reach
+        square += np.maximum(reach * reach, np.float32(1e-36))
         low, high = np.broadcast_to(start, foot.shape), np.broadcast_to(end, foot.shape)
         coned = np.flatnonzero(self._coned.take(which))
         if coned.size:

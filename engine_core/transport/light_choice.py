@@ -20,6 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from ..geometry.vectors import take
+from ..integration.sobol import hash_combine, unit_float
 from .emitters import Emitters
 
 CELL = 32
@@ -405,6 +406,16 @@ def _joined(parts: list[Choice]) -> Choice:
     return (
         parts[0] if len(parts) == 1 else tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     )
+
+
+def pilot_points(cell_x: np.ndarray, cell_y: np.ndarray) -> np.ndarray:
+    """(2, K, P) float32 jittered points of K cells, in pixels from their corners, for pilot rays."""
+    pilot = np.arange(PILOT_GRID**2)
+    row, column = np.divmod(pilot, PILOT_GRID)
+    step = np.float32(CELL / PILOT_GRID)
+    across, up = (hash_combine(cell_x[:, None], cell_y[:, None], pilot, axis) for axis in (71, 72))
+    u = np.stack([(column + unit_float(across)) * step, (row + unit_float(up)) * step])
+    return u.astype(np.float32)
 
 
 def clusters_of_cells(

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A black ball of 101,568 triangles in a box of fog, lit by a point out of view: nothing but one shadow in fog."""
+"""A black ball of 101,760 triangles in fog, lit by a point out of view: nothing but its shadow."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .model import Fog, Lamp, Model, Thing, View, diffuse
-from .shapes import ball, block
+from .model import Fog, Lamp, Lathe, Model, Thing, View, diffuse
+from .shapes import block
+
+RINGS, SEGMENTS = 160, 320
 
 
 def lit(kind: str, power: float, properties: Mapping[str, Any]) -> Model:
     """The scene under one light of this kind."""
     position, middle = (-2.3, 1.6, 4.4), (0.0, 0.0, 1.5)
+    turn = np.linspace(0, np.pi, RINGS + 1)
+    circle = list(zip(np.sin(turn).round(12).tolist(), (-np.cos(turn)).tolist(), strict=True))
     things = [
-        Thing("Ball", ball(1.0, middle, cells=92), diffuse("Black", (0.0, 0.0, 0.0)), smooth=True),
+        Lathe(circle, SEGMENTS, middle).thing("Ball", diffuse("Black", (0.0, 0.0, 0.0))),
         Thing("Bounds of the fog", block((-6, -4, -2.5), (6, 6, 6)), Fog("Fog", 0.12)),
     ]
     lamps = [Lamp("Light", kind, position, power, (1.0, 0.94, 0.86), middle, properties=properties)]

@@ -66,25 +66,35 @@ def model() -> Model:
     curve = np.stack([half * np.cos(vault), HEIGHT - 0.01 + 0.5 * half * np.sin(vault)], -1)
     ceiling = np.array([(x, y, z) for y in (-1.0, LENGTH) for x, z in curve])
     shell, faces = column()
-    columns = joined(
-        *((shell + (x, y * bay, 0), faces) for x in (-half, half) for y in range(1, BAYS))
-    )
+    columns = joined(*((shell + (x, y * bay, 0), faces) for x in (-half, half) for y in range(1, BAYS)))
     seats, seat_faces = pew()
-    pews = joined(*((seats + (x, y, 0), seat_faces) for x in (-1.45, 1.45) for y in np.arange(3.0, 9.5, 1.05)))
+    pews = joined(
+        *((seats + (x, y, 0), seat_faces) for x in (-1.45, 1.45) for y in np.arange(3.0, 9.5, 1.05))
+    )
     altar = joined(block((-0.9, 12.1, 0), (0.9, 12.9, 0.95)), block((-1.5, 11.6, 0), (1.5, 13.4, 0.16)))
+    walls = joined(
+        block((-half, LENGTH, 0), (half, LENGTH + 0.3, 9)),
+        block((-half, -1.3, 0), (half, -1, 9)),
+        block((-half - THICK, -1, 0), (-half, 0, 9)),
+        block((half, -1, 0), (half + THICK, 0, 9)),
+    )
+    # Ends within the walls: no two faces in one place.
+    bounds = block((-half - 0.1, -1.1, -0.05), (half + 0.1, LENGTH + 0.1, 8.2))
+    gold = diffuse("Gold", (0.80, 0.56, 0.18))
     things = [
         Thing("Tiles", joined(*tiles[0]), diffuse("Pale tile", (0.50, 0.46, 0.40))),
         Thing("Dark tiles", joined(*tiles[1]), diffuse("Dark tile", (0.26, 0.23, 0.21))),
         Thing("Windows", joined(windowed_wall(-half), windowed_wall(half + THICK)), stone),
         Thing("Vault", (ceiling, grid_faces(2, 25)), diffuse("Plaster", (0.66, 0.62, 0.56)), smooth=True),
-        Thing("Ends", joined(block((-half, LENGTH, 0), (half, LENGTH + 0.3, 9)), block((-half, -1.3, 0), (half, -1, 9))), stone),
-        Thing("Near walls", joined(block((-half - THICK, -1, 0), (-half, 0, 9)), block((half, -1, 0), (half + THICK, 0, 9))), stone),
+        Thing("Walls", walls, stone),
         Thing("Columns", columns, stone, smooth=True),
         Thing("Pews", pews, wood),
         Thing("Altar", altar, diffuse("Marble", (0.74, 0.72, 0.68))),
-        Thing("Globe", ball(0.34, (0, 12.5, 1.3), cells=14), diffuse("Gold", (0.80, 0.56, 0.18)), smooth=True),
-        Thing("Bounds of the fog", block((-half - 0.1, -1.1, -0.05), (half + 0.1, LENGTH + 0.1, 8.2)), Fog("Fog", 0.06)),
+        Thing("Globe", ball(0.34, (0, 12.5, 1.3), cells=14), gold, smooth=True),
+        Thing("Bounds of the fog", bounds, Fog("Fog", 0.06)),
     ]
-    sun = Lamp("Sun", "SUN", (-12, 9.4, 9.4), 40, (1.0, 0.84, 0.62), (0, 7.2, 1.2), properties={"angle": 0.0092})
+    sun = Lamp(
+        "Sun", "SUN", (-12, 9.4, 9.4), 40, (1.0, 0.84, 0.62), (0, 7.2, 1.2), properties={"angle": 0.0092}
+    )
     view = View((2.7, -0.7, 2.3), (-1.5, 7.0, 2.2), lens=20)
     return Model(view, things, [sun], world=(0.55, 0.72, 1.0), size=(1280, 720))

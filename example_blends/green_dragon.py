@@ -24,5 +24,6 @@ def model(assets: Path) -> Model:
         Thing("Bounds of the fog", block((-7, -6, -0.1), (7, 6, 6)), Fog("Fog", 0.2)),
     ]
     beam = {"radius": 0.015, "length": 0.0}
-    lamps = [Lamp("Laser", "LASER", (-5.5, 1.4, 1.0), 700, (0.05, 1.0, 0.18), (5.5, 0.9, 2.3), properties=beam)]
+    green, start, end = (0.05, 1.0, 0.18), (-5.5, 1.4, 1.0), (5.5, 0.9, 2.3)
+    lamps = [Lamp("Laser", "LASER", start, 700, green, end, properties=beam)]
     return Model(View((0.2, -8.6, 2.4), (0.0, 0.3, 1.45), lens=46), things, lamps, size=(1280, 720))

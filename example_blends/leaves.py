@@ -17,7 +17,8 @@ def bough(start: np.ndarray, end: np.ndarray, thick: float, thin: float) -> Shap
     axis = (end - start) / np.linalg.norm(end - start)
     side = np.cross(axis, (0.3, 1.0, 0.2))
     side /= np.linalg.norm(side)
-    vertices, faces = revolved([(thick, 0), (thin, np.linalg.norm(end - start)), (0, np.linalg.norm(end - start))], 10)
+    length = np.linalg.norm(end - start)
+    vertices, faces = revolved([(thick, 0), (thin, length), (0, length)], 10)
     return vertices @ np.stack([side, np.cross(axis, side), axis]) + start, faces
 
 
@@ -38,7 +39,7 @@ def tree(random: np.random.Generator) -> tuple[Shape, np.ndarray]:
 
 
 def foliage(random: np.random.Generator, ends: np.ndarray) -> Shape:
-    """Kites of four corners, folded along the middle, in clouds about the ends."""
+    """Kites of four corners in clouds about the ends."""
     centre = ends[random.integers(0, len(ends), LEAVES)] + random.normal(scale=0.15, size=(LEAVES, 3))
     along, across = random.normal(size=(2, LEAVES, 3))
     along[:, 2] -= 0.6  # hanging
@@ -46,8 +47,8 @@ def foliage(random: np.random.Generator, ends: np.ndarray) -> Shape:
     across -= along * (along * across).sum(axis=1, keepdims=True)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     size = random.uniform(0.07, 0.12, (LEAVES, 1))
-    widest = centre + 0.45 * size * along
-    corners = np.stack([centre, widest + 0.32 * size * across, centre + 1.2 * size * along, widest - 0.32 * size * across], 1)
+    widest, half = centre + 0.45 * size * along, 0.32 * size * across
+    corners = np.stack([centre, widest + half, centre + 1.2 * size * along, widest - half], 1)
     return corners.reshape(-1, 3), np.arange(4 * LEAVES).reshape(-1, 4)
 
 

@@ -81,7 +81,8 @@ def model() -> Model:
     ]
     slope = [(-3.45, 1.62), (-2.6, 2.25), (-1.75, 1.62), (-1.75, 1.54), (-2.6, 2.15), (-3.45, 1.54)]
     gable = np.array([(x, y, z) for y in (0.0, 1.6) for x, z in slope])
-    sides = np.concatenate([grid_faces(2, 6, around=True), [(0, 1, 4, 5), (1, 2, 3, 4), (11, 10, 7, 6), (10, 9, 8, 7)]])
+    ends = [(0, 1, 4, 5), (1, 2, 3, 4), (11, 10, 7, 6), (10, 9, 8, 7)]
+    sides = np.concatenate([grid_faces(2, 6, around=True), ends])
     things.append(Thing("Gable", (gable, sides), diffuse("Slate", (0.15, 0.14, 0.16))))
     bands = np.linspace(0, 1, 6)
     paints = diffuse("White paint", (0.78, 0.76, 0.72)), diffuse("Red paint", (0.55, 0.05, 0.03))

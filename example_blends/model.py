@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .shapes import Shape
+from .shapes import Shape, revolved
 
 Colour = Sequence[float]
 
@@ -57,11 +57,25 @@ def diffuse(name: str, colour: Colour) -> Surface:
     return Surface(name, "Diffuse", {"color": colour})
 
 
+@dataclass(frozen=True)
+class Lathe:
+    """A profile of (radius, height) turned about the z axis, then moved: `shapes.revolved`."""
+
+    profile: Sequence[tuple[float, float]]
+    segments: int
+    position: Sequence[float]
+
+    def thing(self, name: str, surface: Surface) -> Thing:
+        vertices, faces = revolved(self.profile, self.segments)
+        return Thing(name, (vertices + np.array(self.position), faces), surface, smooth=True, lathe=self)
+
+
 @dataclass(frozen=True, eq=False)
 class Thing:
     """An object: a shape in world space and one surface, or the fog that it bounds, itself unseen.
 
     uv : (F, K, 2), of its faces' corners.
+    lathe : what ``shape`` was turned from, so that a file need not hold it.
     """
 
     name: str
@@ -69,6 +83,7 @@ class Thing:
     surface: Surface | Fog
     smooth: bool = False
     uv: np.ndarray | None = None
+    lathe: Lathe | None = None
 
 
 @dataclass(frozen=True)

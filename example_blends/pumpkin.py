@@ -50,7 +50,10 @@ def _triangle(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float], 
 
 def carved() -> tuple[np.ndarray, np.ndarray]:
     """(T, 3, 2) longitude and latitude of what is left of the shell, (E, 2, 2) of the edges of the holes."""
-    longitude, latitude = np.linspace(-np.pi, np.pi, COLUMNS + 1), np.linspace(-np.pi / 2, np.pi / 2, ROWS + 1)
+    longitude, latitude = (
+        np.linspace(-np.pi, np.pi, COLUMNS + 1),
+        np.linspace(-np.pi / 2, np.pi / 2, ROWS + 1),
+    )
     grid = np.stack(np.meshgrid(longitude, latitude), -1).reshape(-1, 2)
     squares = grid_faces(ROWS + 1, COLUMNS + 1)
     triangles = grid[np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])]
@@ -83,7 +86,9 @@ def welded(places: np.ndarray, part: float) -> Shape:
 
 def stem() -> Shape:
     """Bent, and wider at its foot."""
-    vertices, faces = revolved([(0.0, -0.1), (0.2, -0.08), (0.11, 0.06), (0.085, 0.3), (0.1, 0.36), (0, 0.36)], 20)
+    vertices, faces = revolved(
+        [(0.0, -0.1), (0.2, -0.08), (0.11, 0.06), (0.085, 0.3), (0.1, 0.36), (0, 0.36)], 20
+    )
     height = vertices[:, 2]
     return vertices + np.stack([0.9 * height**2, 0.3 * height**2, 0 * height], -1), faces
 
@@ -94,7 +99,9 @@ def model() -> Model:
     lift = np.array([0, 0, -vertices[:, 2].min()])
     inner, inner_faces = welded(triangles, 1 - WALL)
     # From the outer end of each edge of a hole to the inner one.
-    corners = np.concatenate([shell(edges[:, (0, 1, 1, 0)[k]], (1, 1, 1 - WALL, 1 - WALL)[k]) for k in range(4)])
+    corners = np.concatenate(
+        [shell(edges[:, (0, 1, 1, 0)[k]], (1, 1, 1 - WALL, 1 - WALL)[k]) for k in range(4)]
+    )
     walls = np.arange(len(corners)).reshape(4, -1).T
     top = shell(np.array([[0, np.pi / 2]]))[0]
     stalk, stalk_faces = stem()

@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from . import shapes
-from .model import Fog, Lamp, Model, Ramp, Surface
+from .model import Fog, Lamp, Model, Ramp, Surface, Thing
 from .model import aimed as aimed_matrix
 
 Colour = Sequence[float]
@@ -182,6 +182,9 @@ def build_model(model: Model) -> None:
         surface = thing.surface
         if surface.name not in made:
             made[surface.name] = _foggy(surface) if isinstance(surface, Fog) else _shaded(surface)
+        if thing.lathe is not None:
+            _turned(thing, made[surface.name])
+            continue
         data = mesh(thing.name, *thing.shape, made[surface.name], thing.smooth)
         if thing.uv is not None:
             data.uv_layers.new(name="UVMap").data.foreach_set("uv", thing.uv.astype(np.float32).ravel())
@@ -193,6 +196,18 @@ def build_model(model: Model) -> None:
         placed.matrix_world = Matrix(aimed_matrix(lamp.position, lamp.target))
         placed.visible_camera = lamp.seen
     camera(model.view.position, model.view.target, model.view.lens)
+
+
+def _turned(thing: Thing, surface: bpy.types.Material) -> None:
+    """Blender turns the profile when it opens the file: that stays small."""
+    lathe, data = thing.lathe, bpy.data.meshes.new(thing.name)
+    points = [(radius, 0.0, height) for radius, height in lathe.profile]
+    data.from_pydata(points, [(k, k + 1) for k in range(len(points) - 1)], [])
+    data.materials.append(surface)
+    turn = place(thing.name, data, lathe.position).modifiers.new("Lathe", "SCREW")
+    turn.steps = turn.render_steps = lathe.segments
+    turn.use_merge_vertices = turn.use_smooth_shade = True
+    turn.use_normal_flip, turn.merge_threshold = True, 1e-6
 
 
 def _light(lamp: Lamp) -> bpy.types.Object:

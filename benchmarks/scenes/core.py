@@ -33,7 +33,8 @@ from example_blends.model import Fog, Lamp, Model, Ramp, Surface, Thing, aimed
 from example_blends.shapes import corner_normals
 
 FOGS = (
-    "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage", "fog_ball", "fog_area", "leaves",
+    "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage", "fog_ball", "fog_area",
+    "leaves",
 )  # fmt: skip
 MODELS = ("slats", "studio_spheres", "veach_plates", "violin", *FOGS)
 

@@ -17,23 +17,23 @@ from engine_core.transport.light_choice_in_fog import (
     WEIGHED,
     AirLights,
     FogChoice,
-    Segments,
+    RaySegments,
     fog_clusters,
-    segments,
+    ray_segments,
 )
 
 CELLS, START, END = 6, 0.1, 14.0
 FOGS = {"thin": (1e-3, 0.0), "a body": (0.5, 0.0), "everywhere": (0.3, 0.3), "thick": (3.0, 3.0)}
 
 
-def rays(pilots: int, seed: int, extinction: float = 0.1, leg: float = 0.0) -> Segments:
+def rays(pilots: int, seed: int, extinction: float = 0.1, leg: float = 0.0) -> RaySegments:
     """Segments (CELLS, pilots) of rays from the origin through squares side by side."""
     random = np.random.default_rng(seed)
     column, row = np.divmod(np.arange(CELLS), 2)
     x, y = 0.04 * (np.stack([column, row])[:, :, None] + random.random((2, CELLS, pilots))) - 0.07
     direction = np.stack([x, y, -np.ones_like(x)])
     direction /= np.linalg.norm(direction, axis=0)
-    return segments(0 * direction, direction, 0 * x + START, END, extinction, leg)
+    return ray_segments(0 * direction, direction, 0 * x + START, END, extinction, leg)
 
 
 def choice_of(lights: Lights, extinction: float = 0.1, leg: float = 0.0, hits: bool = True) -> FogChoice:
@@ -42,17 +42,17 @@ def choice_of(lights: Lights, extinction: float = 0.1, leg: float = 0.0, hits: b
     return FogChoice(air, fog_clusters(air, rays(64, 5, extinction, leg), found))
 
 
-def flat(where: Segments) -> tuple[Segments, np.ndarray]:
+def flat(where: RaySegments) -> tuple[RaySegments, np.ndarray]:
     """All segments in a row, and their cells."""
     _, cells, count = where.place.shape
     return where.reshape(cells * count), np.repeat(np.arange(cells), count)
 
 
-def all_chances(choice: FogChoice, lights: Lights, where: Segments, cell: np.ndarray) -> np.ndarray:
+def all_chances(choice: FogChoice, lights: Lights, where: RaySegments, cell: np.ndarray) -> np.ndarray:
     """(L, M) probabilities of every light for every segment."""
     count, size = len(lights), len(cell)
     at = np.repeat(np.arange(size), count)
-    each = Segments(*(x[:, at] for x in where))
+    each = RaySegments(*(x[:, at] for x in where))
     return choice.pdf(np.tile(np.arange(count), size), each, cell[at]).reshape(size, count).T
 
 
@@ -89,7 +89,9 @@ def areas(count: int, seed: int = 1) -> list[Light]:
     ]
 
 
-def airlight(lights: Lights, where: Segments, extinction: float, leg: float, nodes: int = 200) -> np.ndarray:
+def airlight(
+    lights: Lights, where: RaySegments, extinction: float, leg: float, nodes: int = 200
+) -> np.ndarray:
     """(L, M) of unshadowed light, scattered alike to all sides; equiangular, anywhere on lights of a size."""
     random = np.random.default_rng(6)
     x, weight = np.polynomial.legendre.leggauss(nodes)
@@ -151,7 +153,7 @@ def test_a_light_next_to_a_ray_is_weighed_by_its_nearness():
     chosen = np.array([44, 55, 46])
     direction = lights.centre[:, chosen] + 1e-3
     direction /= np.linalg.norm(direction, axis=0)
-    where = segments(0 * direction, direction, np.full(3, START), END, 0.1)
+    where = ray_segments(0 * direction, direction, np.full(3, START), END, 0.1)
     chance = all_chances(choice_of(lights), lights, where, np.array([3, 3, 5]))
     assert (chance.argmax(axis=0) == chosen).all()
     assert (chance.max(axis=0) > 0.6).all()
@@ -179,12 +181,12 @@ def test_lights_are_chosen_as_often_as_pdf_says(count: int):
     light, chance, left = choice.choose(where, cell, w.astype(np.float32))
     assert np.isin(light, only).all()
     at = np.repeat(np.arange(CELLS), split)
-    each = Segments(*(x[:, at] for x in where))
+    each = RaySegments(*(x[:, at] for x in where))
     assert choice.pdf(light, each, cell[at]) == pytest.approx(chance, rel=1e-4)
     assert stats.kstest(left, "uniform").statistic < 0.02
     for segment in range(CELLS):
         counts = np.bincount(light[at == segment], minlength=len(lights))[only]
-        one = Segments(*(np.repeat(x[:, [segment]], len(only), axis=1) for x in where))
+        one = RaySegments(*(np.repeat(x[:, [segment]], len(only), axis=1) for x in where))
         expected = choice.pdf(only, one, np.full(len(only), segment)) * split
         # Stratified: within a sample or two.
         assert (np.abs(counts - expected) < 3 + 1e-4 * split).all()
@@ -195,7 +197,7 @@ def test_a_cell_does_not_depend_on_its_company():
     air = AirLights(lights)
     where, found = rays(64, 5), np.ones((CELLS, 64), bool)
     together = fog_clusters(air, where, found)
-    alone = fog_clusters(air, Segments(*(x[:, 2:3] for x in where)), found[2:3])
+    alone = fog_clusters(air, RaySegments(*(x[:, 2:3] for x in where)), found[2:3])
     assert np.array_equal(together[2].candidates, alone[0].candidates)
     assert np.array_equal(together[2].table, alone[0].table)
 
@@ -215,7 +217,7 @@ def test_nasty_places_leave_a_distribution(position: tuple[float, ...], end: flo
     ]
     lights = lights_of(lamps, world=1.0)
     direction = np.array([(0, 0, -1), (0, 0, 1), (1, 0, 0), (0.6, 0, -0.8)], float).T
-    where = segments(0 * direction, direction, np.zeros(4), end, extinction, extinction)
+    where = ray_segments(0 * direction, direction, np.zeros(4), end, extinction, extinction)
     with np.errstate(all="raise", under="ignore"):
         chance = all_chances(choice_of(lights), lights, where, np.zeros(4, int))
     assert (chance > 0).all()
@@ -225,7 +227,7 @@ def test_nasty_places_leave_a_distribution(position: tuple[float, ...], end: flo
 @pytest.mark.parametrize("where", [(0.3, 0.2, -1.0), (2.0, 0.0, 3.0), (0.0, 1e-3, -6.0)])
 def test_estimate_without_extinction_is_the_integral(where: Sequence[float]):
     air = AirLights(lights_of([PointLight(4 * np.pi, position=where)]))
-    (estimate,) = air.irradiance(*segments(np.zeros((3, 1)), [[0], [0], [-1.0]], [0.5], [9.0], [0.0]))
+    (estimate,) = air.irradiance(*ray_segments(np.zeros((3, 1)), [[0], [0], [-1.0]], [0.5], [9.0], [0.0]))
     centre = np.array(where)
     truth, _ = integrate.quad(
         lambda t: 1 / ((centre + (0, 0, t)) ** 2).sum(), 0.5, 9, points=[-where[2]], limit=500

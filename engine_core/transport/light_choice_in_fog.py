@@ -39,24 +39,24 @@ _LEAST = np.float32(0.02)
 _NEAREST = np.float32(1e-6)
 
 
-class Segments(NamedTuple):
-    """Parts (...) of rays in fog, packed as what chooses lights takes them: see `segments`."""
+class RaySegments(NamedTuple):
+    """Parts (...) of rays in fog, packed as what chooses lights takes them: see `ray_segments`."""
 
     place: np.ndarray
     direction: np.ndarray
 
-    def reshape(self, *shape: int) -> Segments:
-        return Segments(*(x.reshape(len(x), *shape) for x in self))
+    def reshape(self, *shape: int) -> RaySegments:
+        return RaySegments(*(x.reshape(len(x), *shape) for x in self))
 
 
-def segments(
+def ray_segments(
     origin: np.ndarray,
     direction: np.ndarray,
     start: np.ndarray,
     end: np.ndarray,
     extinction: np.ndarray,
     leg: np.ndarray | float = 0.0,
-) -> Segments:
+) -> RaySegments:
     """Segments from ``start`` to ``end`` (...) of rays ``origin``, ``direction`` (3, ...), which is unit.
 
     extinction : (...) of the fog there, leg : of all space, on the way from a light; each the least of all
@@ -65,7 +65,7 @@ def segments(
     start, end, extinction, leg = (
         np.clip(x, 0, _FAR) for x in np.broadcast_arrays(start, end, extinction, leg)
     )
-    return Segments(
+    return RaySegments(
         np.concatenate([origin, np.stack([start, end, extinction, leg])]).astype(np.float32),
         np.asarray(direction, np.float32),
     )
@@ -231,7 +231,7 @@ class FogChoice:
         self._lights = lights
         self._choice = WeighedLights(lights) if clusters is None else CandidateLights(lights, clusters)
 
-    def choose(self, where: Segments, cell: np.ndarray | None, w: np.ndarray) -> Choice:
+    def choose(self, where: RaySegments, cell: np.ndarray | None, w: np.ndarray) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` (M, S) stretched over what was chosen.
 
         where : M segments. cell : (M,) of these. w : uniform in (0, 1).
@@ -239,13 +239,13 @@ class FogChoice:
         light, chance, w = self._choice.choose(*where, cell, w)
         return self._lights.only.take(light), chance, w
 
-    def pdf(self, light: np.ndarray, where: Segments, cell: np.ndarray | None) -> np.ndarray:
+    def pdf(self, light: np.ndarray, where: RaySegments, cell: np.ndarray | None) -> np.ndarray:
         """(N,) probabilities with which `choose` takes ``light`` (N,) for segments (N,) of ``cell`` (N,)."""
         return self._choice.pdf(np.searchsorted(self._lights.only, light), *where, cell)
 
 
 def fog_clusters(
-    lights: AirLights, where: Segments, found: np.ndarray, between: Callable[[], None] = lambda: None
+    lights: AirLights, where: RaySegments, found: np.ndarray, between: Callable[[], None] = lambda: None
 ) -> list[Clusters] | None:
     """The clusters of lights in K cells, None where all lights can be weighed for every segment.
 

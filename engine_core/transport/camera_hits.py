@@ -122,7 +122,7 @@ class CameraStage:
         self._normals = normals
         self._lights_seen = any(group.any_visible for group in emitters)
         lasers = any(isinstance(light, Laser) for light in scene.lights)
-        self._wants_lobes = len(emitters) > 0 or lasers
+        self._wants_lobes = len(emitters) > 0 or lasers or (media is not None and media.emits)
         self._background = np.zeros(3, np.float32)
         if scene.world.visible_to_camera and not transparent:
             self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)

@@ -25,14 +25,13 @@ from ..geometry.frame import frame_of
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, inverse_length, take
-from ..integration.sobol import hash_combine, unit_float
+from ..geometry.warps import cosine_hemisphere
 from ..scene import Scene
 from ..shading.terms import LARGEST
 from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
 from .light_choice import (
     CELL,
-    PILOT_GRID,
     WEIGHED,
     CandidateLights,
     Clusters,
@@ -40,6 +39,7 @@ from .light_choice import (
     LightChoice,
     WeighedLights,
     clusters_of_cells,
+    pilot_points,
 )
 from .light_samples import LightSamples, SceneLights
 from .media import Media
@@ -95,7 +95,7 @@ class DirectLight:
     messages : what of the scene is left out, one sentence each.
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
-    only_points : no light has a size. channels, transparent, sees : as in `CameraStage`.
+    only_points : no light has a size, and no fog glows. channels, transparent, sees : as in `CameraStage`.
     media : the fogs of the scene, None for none. frame, shader, surfaces, stage, shadows : what else it is made of.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
@@ -131,7 +131,9 @@ class DirectLight:
         times.append(perf_counter())
         stages = ("triangles", "materials", "Embree", "emitters")
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
-        self.chooses_triangle, self.only_points = self.lights.chooses_triangle, self.lights.only_points
+        self._glows = self.media is not None and self.media.emits
+        self.chooses_triangle = self.lights.chooses_triangle
+        self.only_points = self.lights.only_points and not self._glows
         self.stage = CameraStage(
             scene, frame, self.surfaces, shader, groups, transparent, normals, crossings, self.media
         )
@@ -165,18 +167,13 @@ class DirectLight:
         self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None]
     ) -> list[Clusters]:
         """Clusters of lights for each of K cells, from the hits of jittered pilot rays there."""
-        row, column = np.divmod(np.arange(PILOT_GRID**2), PILOT_GRID)
-        step = np.float32(CELL / PILOT_GRID)
-        pilot = np.arange(PILOT_GRID**2)
-        across, up = (hash_combine(cell_x[:, None], cell_y[:, None], pilot, axis) for axis in (71, 72))
-        u = np.stack([(column + unit_float(across)) * step, (row + unit_float(up)) * step])
-        u = u.astype(np.float32)
+        u = pilot_points(cell_x, cell_y)
         if self.screen_dimensions == 4:
             u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
         origins, directions = self.stage.rays.rays(cell_x * CELL, cell_y * CELL, u)
         points, _ = self.surfaces.first_hit(origins, directions, self.stage.rays.reach)
-        found = np.zeros(across.shape, bool)
-        position, normal = np.zeros((2, 3, *across.shape), np.float32)
+        found = np.zeros(u.shape[1:], bool)
+        position, normal = np.zeros((2, 3, *found.shape), np.float32)
         lanes = slice(None) if points.lane is None else points.lane
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
@@ -205,7 +202,7 @@ class DirectLight:
         u : two dimensions on the light, and the choice if there is one; (3, N) for hits ``lane`` (N,).
         """
         points = hits.points
-        if len(self.lights) == 0 or u.size == 0 or len(points) == 0:
+        if (len(self.lights) == 0 and not self._glows) or u.size == 0 or len(points) == 0:
             return NOTHING
         split = u.shape[2] if lane is None else 1
         u = u.reshape(len(u), -1)
@@ -225,16 +222,24 @@ class DirectLight:
 
     def _reflected(self, hits, at, u, choice, split) -> Reflected:
         """Light reflected at points ``at`` (K,), None for all in order; ``split`` samples in a row each."""
+        if self._glows:
+            glow = self._reflect_glow(hits, np.arange(u.shape[1]) if at is None else at, u[:2])
+            return Reflected.joined([*glow, *self._lights_reflected(hits, at, u, choice, split)])
+        return Reflected.joined(self._lights_reflected(hits, at, u, choice, split))
+
+    def _lights_reflected(self, hits, at, u, choice, split) -> list[Reflected]:
+        if len(self.lights) == 0:
+            return []
         samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split)
         if hits.slots is None:
-            return self._reflect_lambertian(hits, samples)
+            return [self._reflect_lambertian(hits, samples)]
         parts = [self._reflect(hits, samples)]
-        if not self.only_points:
+        if not self.lights.only_points:
             at = np.arange(u.shape[1]) if at is None else at
             parts += [
                 self._sample_lobe(hits, slot, at, u[:2], choice) for slot in hits.slots if self._samples(slot)
             ]
-        return Reflected.joined(parts)
+        return parts
 
     def _samples(self, slot: Slot) -> bool:
         """Whether directions are sampled by the lobe, too."""
@@ -325,6 +330,41 @@ class DirectLight:
             value *= passed
         which = samples.which.take(arrive)
         return Reflected(which if lanes is None else lanes.take(which), value, counts)
+
+    def _reflect_glow(self, hits: CameraHits, at: np.ndarray, u: np.ndarray) -> list[Reflected]:
+        """Light of glowing fog at points ``at`` (K,), from directions that each lobe samples by u (2, K)."""
+        points = hits.points
+        if hits.slots is None:
+            direction, _ = cosine_hemisphere(take(points.normal, at), u)
+            material = self.surfaces.triangles.material.take(points.triangle.take(at))
+            value = take(self._reflectance, material) * np.float32(np.pi)
+            if hits.throughput is not None:
+                value *= take(hits.throughput, at)
+            return [self._glow_along(points, np.arange(len(at)), at, direction, value)]
+        parts = []
+        for slot in hits.slots:
+            lanes, row = slot.of(at)
+            which = np.arange(len(at)) if lanes is None else lanes
+            if slot.lobe.smooth:
+                direction, measure = cosine_hemisphere(take(slot.lobe.normal, row), take(u, which))
+                value = slot.lobe.evaluate(row, direction)[0] * measure
+            else:
+                direction = slot.lobe.sample(row, take(u, which))
+                value, pdf = slot.lobe.evaluate(row, direction)
+                value /= np.maximum(pdf, np.float32(1e-37))
+            parts.append(self._glow_along(points, which, at.take(which), direction, value))
+        return parts
+
+    def _glow_along(
+        self, points: SurfacePoints, which: np.ndarray, at: np.ndarray, direction: np.ndarray, value: np.ndarray
+    ) -> Reflected:
+        """Samples ``which`` (K,) of what glows along ``direction`` (3, K), which ``value`` (3, K) reflects."""
+        lit, bad = _finite(value.max(axis=0))
+        which, at, direction, value = which.take(lit), at.take(lit), take(direction, lit), take(value, lit)
+        cosine = dot(take(points.normal, at), direction)
+        origins, directions, _ = self.surfaces.shadow_rays(points, at, direction, cosine, True, False)
+        value *= self.shadows.glow(origins, directions)
+        return Reflected(which, value, Counter({BSDF: len(at), NON_FINITE: bad}))
 
     def _arriving(
         self, points: SurfacePoints, samples: LightSamples, cosine: np.ndarray, kind: str, bad: int

@@ -97,9 +97,32 @@ class Shadows:
             ray, reach, directions = ray.take(on), (reach - distance).take(on), directions.take(on, axis=0)
         return part, rays
 
-    def met(
-        self, origin: np.ndarray, direction: np.ndarray, reach: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def glow(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(3, K) radiance of glowing fog that rays (K, 3) see before something opaque."""
+        end = self._surfaces.blocked_at(origins, directions, FAR)
+        radiance = self._media.seen(origins, directions, end)[1]
+        if not self._surfaces.any_transparent:
+            return radiance
+        # Behind each layer the light is what the whole ray's is less what lies before it.
+        ray, here, start = np.arange(len(origins)), origins, np.zeros(len(origins), np.float32)
+        part, total = np.ones((3, len(origins)), np.float32), radiance.copy()
+        for crossing in range(self._most + 1):
+            to_end = np.minimum(end.take(ray), FAR).astype(np.float32) - start
+            points, distance = self._surfaces.next_transparent(here, directions.take(ray, axis=0), to_end)
+            lane = np.arange(len(ray)) if points.lane is None else points.lane
+            ray, start, part = ray.take(lane), start.take(lane) + distance, take(part, lane)
+            if ray.size == 0:
+                break
+            along = directions.take(ray, axis=0)
+            behind = take(radiance, ray) - self._media.seen(origins.take(ray, axis=0), along, start)[1]
+            left = np.zeros_like(part)
+            if crossing < self._most:
+                left = np.minimum(part * self._shader.transparency(points, -along.T), LARGEST)
+            total[:, ray] -= (part - left) * behind
+            part, here = left, self._surfaces.beyond(points)
+        return np.maximum(total, 0)
+
+    def met(self, origin: np.ndarray, direction: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """What one shadow ray (1, 3) meets: distances (J,), ascending, and what (3, J) is left behind each.
 
         Nothing is left at the end of a ray that is blocked.

@@ -19,7 +19,7 @@ from engine_core.transport.light_choice_in_fog import (
     FogChoice,
     RaySegments,
     fog_clusters,
-    ray_segments,
+    segments,
 )
 
 CELLS, START, END = 6, 0.1, 14.0
@@ -33,7 +33,7 @@ def rays(pilots: int, seed: int, extinction: float = 0.1, leg: float = 0.0) -> R
     x, y = 0.04 * (np.stack([column, row])[:, :, None] + random.random((2, CELLS, pilots))) - 0.07
     direction = np.stack([x, y, -np.ones_like(x)])
     direction /= np.linalg.norm(direction, axis=0)
-    return ray_segments(0 * direction, direction, 0 * x + START, END, extinction, leg)
+    return segments(0 * direction, direction, 0 * x + START, END, extinction, leg)
 
 
 def choice_of(lights: Lights, extinction: float = 0.1, leg: float = 0.0, hits: bool = True) -> FogChoice:
@@ -153,7 +153,7 @@ def test_a_light_next_to_a_ray_is_weighed_by_its_nearness():
     chosen = np.array([44, 55, 46])
     direction = lights.centre[:, chosen] + 1e-3
     direction /= np.linalg.norm(direction, axis=0)
-    where = ray_segments(0 * direction, direction, np.full(3, START), END, 0.1)
+    where = segments(0 * direction, direction, np.full(3, START), END, 0.1)
     chance = all_chances(choice_of(lights), lights, where, np.array([3, 3, 5]))
     assert (chance.argmax(axis=0) == chosen).all()
     assert (chance.max(axis=0) > 0.6).all()
@@ -217,7 +217,7 @@ def test_nasty_places_leave_a_distribution(position: tuple[float, ...], end: flo
     ]
     lights = lights_of(lamps, world=1.0)
     direction = np.array([(0, 0, -1), (0, 0, 1), (1, 0, 0), (0.6, 0, -0.8)], float).T
-    where = ray_segments(0 * direction, direction, np.zeros(4), end, extinction, extinction)
+    where = segments(0 * direction, direction, np.zeros(4), end, extinction, extinction)
     with np.errstate(all="raise", under="ignore"):
         chance = all_chances(choice_of(lights), lights, where, np.zeros(4, int))
     assert (chance > 0).all()
@@ -227,7 +227,7 @@ def test_nasty_places_leave_a_distribution(position: tuple[float, ...], end: flo
 @pytest.mark.parametrize("where", [(0.3, 0.2, -1.0), (2.0, 0.0, 3.0), (0.0, 1e-3, -6.0)])
 def test_estimate_without_extinction_is_the_integral(where: Sequence[float]):
     air = AirLights(lights_of([PointLight(4 * np.pi, position=where)]))
-    (estimate,) = air.irradiance(*ray_segments(np.zeros((3, 1)), [[0], [0], [-1.0]], [0.5], [9.0], [0.0]))
+    (estimate,) = air.irradiance(*segments(np.zeros((3, 1)), [[0], [0], [-1.0]], [0.5], [9.0], [0.0]))
     centre = np.array(where)
     truth, _ = integrate.quad(
         lambda t: 1 / ((centre + (0, 0, t)) ** 2).sum(), 0.5, 9, points=[-where[2]], limit=500

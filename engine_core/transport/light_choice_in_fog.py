@@ -40,7 +40,7 @@ _NEAREST = np.float32(1e-6)
 
 
 class RaySegments(NamedTuple):
-    """Parts (...) of rays in fog, packed as what chooses lights takes them: see `ray_segments`."""
+    """Parts (...) of rays in fog, packed as what chooses lights takes them: see `segments`."""
 
     place: np.ndarray
     direction: np.ndarray
@@ -49,7 +49,7 @@ class RaySegments(NamedTuple):
         return RaySegments(*(x.reshape(len(x), *shape) for x in self))
 
 
-def ray_segments(
+def segments(
     origin: np.ndarray,
     direction: np.ndarray,
     start: np.ndarray,

@@ -46,16 +46,17 @@ MAPS = {"point": along_ray, "thesis_2020": along_ray_as_in_thesis}
 
 @dataclass(eq=False)
 class Segments:
-    """K segments of camera rays, each in one mixture of media.
+    """K segments of M camera rays, each in one mixture of media.
 
-    origin, direction : (3, K) float64, unit. start, end : (K,) float64, along it.
-    depth : (C, K) optical depth before the segment. extinction : (C, K).
-    scattering : of each phase function, (3, K) and g.
+    origin, direction : (3, M) float64, unit. ray : (K,). start, end : (K,) float64, along it.
+    depth : (C, K) optical depth before the segment. extinction : (C, K), or (C, 1) if all are of one mixture.
+    scattering : of each phase function, (3, K) or (3, 1), and g.
     through : (3, K) what surfaces before it leave of its light; None for all.
     """
 
     origin: np.ndarray
     direction: np.ndarray
+    ray: np.ndarray
     start: np.ndarray
     end: np.ndarray
     depth: np.ndarray
@@ -66,21 +67,25 @@ class Segments:
     @staticmethod
     def of(rays: FogRays, media: Media) -> Segments:
         fog = rays.media
-        extinction, depth = take(media.extinction, fog.mixture), fog.depth.astype(np.float64)
+        mixture = fog.mixture
+        if len(mixture) and (mixture == mixture[0]).all():
+            mixture = mixture[:1]
+        extinction, depth = take(media.extinction, mixture), fog.depth.astype(np.float64)
         # Up to where no colour is left.
         slowest = np.where((extinction > 0).all(axis=0), extinction.min(axis=0), extinction.max(axis=0))
         length = np.maximum(DEEPEST - depth.min(axis=0), 0) / slowest
         return Segments(
-            take(rays.origin, fog.ray),
-            take(rays.direction, fog.ray),
+            rays.origin,
+            rays.direction,
+            fog.ray,
             fog.start,
             np.minimum(fog.end, fog.start + length),
             depth,
             extinction,
             [
-                (take(sigma, fog.mixture), float(g))
+                (take(sigma, mixture), float(g))
                 for sigma, g in zip(media.scattering, media.anisotropy, strict=True)
-                if sigma.any()
+                if sigma[:, mixture].any()
             ],
             rays.through,
         )
@@ -88,22 +93,27 @@ class Segments:
     def take(self, rows: np.ndarray | slice) -> Segments:
         if isinstance(rows, slice):
             return self
+
+        def of_mixture(a: np.ndarray) -> np.ndarray:
+            return a if a.shape[1] == 1 else take(a, rows)
+
         return Segments(
-            take(self.origin, rows),
-            take(self.direction, rows),
+            self.origin,
+            self.direction,
+            self.ray.take(rows),
             self.start.take(rows),
             self.end.take(rows),
             take(self.depth, rows),
-            take(self.extinction, rows),
-            [(take(sigma, rows), g) for sigma, g in self.scattering],
+            of_mixture(self.extinction),
+            [(of_mixture(sigma), g) for sigma, g in self.scattering],
             None if self.through is None else take(self.through, rows),
         )
 
     def passage(self, stretch: Stretch) -> Passage:
         """Past a stretch of a beam."""
-        between = stretch.start[:, None] - self.origin
-        beam = stretch.direction[:, None]
-        return passages(between, self.direction, beam, stretch.length, self.start, self.end)
+        between = stretch.start[:, None] - take(self.origin, self.ray)
+        direction, beam = take(self.direction, self.ray), stretch.direction[:, None]
+        return passages(between, direction, beam, stretch.length, self.start, self.end)
 
     def unshadowed(
         self, stretch: Stretch, p: Passage, v: np.ndarray, x: np.ndarray, r: np.ndarray
@@ -152,11 +162,15 @@ class LaserInFog(Scattered):
             lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
         u = np.asarray(u, np.float64).reshape(2, -1)
         rows, which = rays.segments(lane)
-        segments = Segments.of(rays, self.media).take(rows)
+        every = Segments.of(rays, self.media)
+        segments = every.take(rows)
         along, across = take(u, which)
         out = np.zeros((3, u.shape[1]))
         for stretch in self.stretches:
-            passage = segments.passage(stretch)
+            if len(which) > len(every.start):
+                passage = every.passage(stretch).take(rows)
+            else:
+                passage = segments.passage(stretch)
             v, dv = along_beam(passage, along)
             x, r, weight = self._map(passage, v, across)
             value = segments.unshadowed(stretch, passage, v, x, r)
@@ -204,11 +218,12 @@ def between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Origins at points v (N,) of a beam, and directions (N, 3) to points t of segments ``rows`` (N,)."""
     origins, directions = np.empty((2, len(v), 3), np.float32)
+    ray = segments.ray.take(rows)
     for i in range(3):
         from_beam = stretch.start[i] + v * stretch.direction[i]
         origins[:, i] = from_beam
-        point = t * segments.direction[i].take(rows)
-        point += segments.origin[i].take(rows)
+        point = t * segments.direction[i].take(ray)
+        point += segments.origin[i].take(ray)
         point -= from_beam
         directions[:, i] = point
     return origins, directions

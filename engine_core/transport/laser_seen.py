@@ -211,11 +211,12 @@ class LasersSeen:
 def glow(segments: Segments, stretch: Stretch) -> np.ndarray:
     """(3, K) radiance that a stretch of a beam adds to segments of camera rays."""
     axis = stretch.direction[:, None]
-    start = segments.origin - stretch.start[:, None]
+    start = take(segments.origin, segments.ray) - stretch.start[:, None]
     along = dot(start, axis)
     apart = start - along * axis
-    cos = dot(segments.direction, axis)
-    across = segments.direction - cos * axis
+    direction = take(segments.direction, segments.ray)
+    cos = dot(direction, axis)
+    across = direction - cos * axis
     square = dot(across, across)
     parallel = square < 1e-24
     square = np.where(parallel, 1, square)

@@ -14,7 +14,7 @@ from engine_core import Camera, Material, Mesh, PointLight, RenderError, Scene, 
 from engine_core.geometry import boundaries
 from engine_core.geometry.boundaries import Boundaries
 from engine_core.geometry.frame import Frame
-from engine_core.shading.closures import Diffuse, Holdout, Mix, Transparent
+from engine_core.shading.closures import Diffuse, Glossy, Holdout, Mix, Transparent
 from engine_core.transport.direct_light import ALPHA, RGB, DirectLight, Pixels
 from engine_core.transport.light_choice import EveryLight
 from engine_core.transport.media import DIRECT, Media
@@ -392,11 +392,11 @@ def test_layers_of_alpha_in_fog() -> None:
     veil = Material(surface=Mix(1 - clear, Transparent(tint), Diffuse(0.6)))
     sheets = [floor(0.2, z, materials=1) for z in (3.0, 2.0)]
     scene = looking_down(
-        floor(), *sheets, box((-3, -3, -1), (3, 3, 2.5), volume=2, surface=False),
+        floor(), *sheets, box((-3, -3, -1), (3, 3, 2.5), volume=0, surface=False),
         materials=(Material(0.8), veil), lights=(PointLight(100.0, position=(1, 0, 4)),), volumes=FOG,
     )  # fmt: skip
     through = clear * tint
-    seen, reflected = looked_at(scene)
+    _, reflected = looked_at(scene)
 
     def lit(z: float, albedo: float, inside: float) -> np.ndarray:
         square = 1 + (4 - z) ** 2
@@ -407,6 +407,8 @@ def test_layers_of_alpha_in_fog() -> None:
     layers = lit(3, 0.15, 0) + through * np.exp(-0.5 * SIGMA) * lit(2, 0.15, 0.5)
     layers = layers + through**2 * np.exp(-2.5 * SIGMA) * lit(0, 0.8, 2.5)
     np.testing.assert_allclose(reflected, layers, rtol=1e-4)
+    scene = replace(scene, volumes=(Volume(SIGMA, emission=(1, 2, 3)),))
+    seen, _ = looked_at(scene)
     glow = np.array([1, 2, 3]) / SIGMA
     glow = through * glow * (1 - np.exp(-0.5 * SIGMA)) + through**2 * glow * (
         np.exp(-0.5 * SIGMA) - np.exp(-2.5 * SIGMA)
@@ -428,3 +430,53 @@ def test_a_lamp_is_seen_through_the_fog_before_it(closure: Any) -> None:
     clear = looked_at(replace(scene, meshes=(floor(),)))[0][RGB]
     assert clear.min() > 0
     np.testing.assert_allclose(looked_at(scene)[0][RGB], clear * np.exp(-0.5 * SIGMA), rtol=1e-4)
+
+
+def glow_on_floor(scene: Scene, count: int = 192) -> np.ndarray:
+    """(3,) what the floor reflects straight up, the mean over a grid of directions."""
+    integrand = DirectLight(scene)
+    pixel = Pixels(np.zeros(1, int), np.zeros(1, int), np.zeros(1, int))
+    hits = integrand.first(pixel, np.full((2, 1, 1), 0.5, np.float32))
+    u = ((np.indices((count, count)) + 0.5) / count).reshape(2, 1, -1).astype(np.float32)
+    return integrand.rest(hits, None, u, None).radiance.sum(axis=1, dtype=float) / count**2
+
+
+@pytest.mark.parametrize("closure", (None, Diffuse(0.8), Glossy(0.8, 1.0, "GGX")), ids=("constant", "shader", "rough"))
+def test_glowing_fog_lights_surfaces(closure: Any) -> None:
+    layer = box((-3e3, -3e3, 1), (3e3, 3e3, 2), volume=2, surface=False)
+    scene = looking_down(floor(), layer, materials=(Material(0.8, surface=closure),), volumes=FOG)
+    cosine = (np.arange(2000) + 0.5) / 2000
+    glow = np.array([[1], [2], [3]]) / SIGMA[:, None] * -np.expm1(-SIGMA[:, None] / cosine)
+    found = glow_on_floor(scene)
+    passed = np.exp(-SIGMA)  # on the way up again
+    if isinstance(closure, Glossy):
+        assert found.min() > 0
+        found = found / glow_on_floor(replace(scene, volumes=(*FOG[:2], Volume(SIGMA, emission=1.0))))
+        np.testing.assert_allclose(found, (1, 2, 3), rtol=1e-4)
+    else:
+        np.testing.assert_allclose(found, 0.8 * passed * 2 * (glow * cosine).mean(axis=1), rtol=3e-3)
+
+
+def test_glow_passes_through_layers_and_stops_at_what_is_opaque() -> None:
+    layer = box((-3e3, -3e3, 1), (3e3, 3e3, 2), volume=0, surface=False)
+    tint = np.array([0.9, 0.5, 0.3])
+    veil = Material(surface=Transparent(tint))
+
+    def lit(*sheets: Mesh) -> np.ndarray:
+        return glow_on_floor(
+            looking_down(
+                floor(), layer, *sheets, materials=(Material(0.8), veil, Material(0.5)),
+                volumes=(Volume(0, emission=(1, 2, 3)),),
+            )
+        )  # fmt: skip
+
+    def sheet(z: float, material: int) -> Mesh:
+        return floor(3e3, z, materials=material, visible_to_camera=False)
+
+    clear = lit()
+    # Radiance grows with the way through: halves of the layer add up to it.
+    np.testing.assert_allclose(lit(sheet(0.5, 1)), tint * clear, rtol=4e-3)
+    np.testing.assert_allclose(lit(sheet(1.5, 1)), (1 + tint) / 2 * clear, rtol=4e-3)
+    np.testing.assert_allclose(lit(sheet(1.25, 1), sheet(1.5, 1)), (1 + tint + 2 * tint**2) / 4 * clear, rtol=4e-3)
+    np.testing.assert_allclose(lit(sheet(1.25, 1), sheet(1.5, 2)), (1 + tint) / 4 * clear, rtol=4e-3)
+    assert not lit(sheet(0.5, 2)).any()

@@ -51,7 +51,6 @@ class Segments:
     origin, direction : (3, M) float64, unit. ray : (K,). start, end : (K,) float64, along it.
     depth : (C, K) optical depth before the segment. extinction : (C, K), or (C, 1) if all are of one mixture.
     scattering : of each phase function, (3, K) or (3, 1), and g.
-    through : (3, K) what surfaces before it leave of its light; None for all.
     """
 
     origin: np.ndarray
@@ -62,7 +61,6 @@ class Segments:
     depth: np.ndarray
     extinction: np.ndarray
     scattering: list[tuple[np.ndarray, float]]
-    through: np.ndarray | None
 
     @staticmethod
     def of(rays: FogRays, media: Media) -> Segments:
@@ -87,7 +85,6 @@ class Segments:
                 for sigma, g in zip(media.scattering, media.anisotropy, strict=True)
                 if sigma[:, mixture].any()
             ],
-            rays.through,
         )
 
     def take(self, rows: np.ndarray | slice) -> Segments:
@@ -106,7 +103,6 @@ class Segments:
             take(self.depth, rows),
             of_mixture(self.extinction),
             [(of_mixture(sigma), g) for sigma, g in self.scattering],
-            None if self.through is None else take(self.through, rows),
         )
 
     def passage(self, stretch: Stretch) -> Passage:
@@ -130,8 +126,6 @@ class Segments:
         value *= scattered(self.scattering, *halves(-x / r))
         value *= np.exp(-depth)
         value *= stretch.power[:, None]
-        if self.through is not None:
-            value *= self.through
         return value
 
 
@@ -244,7 +238,7 @@ class LitParts(InnerRule):
     """
 
     beam: int = 8
-    smooth: int = 6
+    smooth: int = 8
     visible: int = 9
     bisections: int = 3
 

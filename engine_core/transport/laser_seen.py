@@ -251,8 +251,6 @@ def glow(segments: Segments, stretch: Stretch) -> np.ndarray:
     value = scattered(segments.scattering, *halves(-cos))
     value *= chord * np.exp(-depth)
     value *= (stretch.power / (np.pi * stretch.radius**2))[:, None]
-    if segments.through is not None:
-        value *= segments.through
     out[:, some] = value
     return out
 

@@ -14,6 +14,7 @@ from extension_scenes import (
     add,
     add_camera,
     add_cube,
+    add_floor,
     add_light,
     diffuse,
     emission,
@@ -254,6 +255,18 @@ def test_every_instance_is_a_body_of_its_own(cv: ModuleType, scene: Any) -> None
         assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(1, rel=1e-5)
 
 
+def test_many_instances_share_meshes_where_they_keep_clear(cv: ModuleType, scene: Any) -> None:
+    import bpy
+
+    cube = add_cube(scene, 1, fog(SCATTER), location=(-1.5, 0, 0))
+    for i in range(59):
+        add(scene, "Puff", cube.data, (1.5 * (i // 2) + 0.1 * (i % 2), 0, 0))
+    bpy.context.view_layer.update()
+    exported, _ = export(cv)
+    assert [len(mesh.triangles) // 12 for mesh in exported.meshes] == [31, 29]
+    assert {(mesh.volume, mesh.surface) for mesh in exported.meshes} == {(0, False)}
+
+
 def test_an_object_is_parted_where_its_materials_have_volumes(cv: ModuleType, scene: Any) -> None:
     """As in Cycles, where faces of one material bound its volume, whatever the others do."""
     import bpy
@@ -468,3 +481,59 @@ def test_slabs_as_cycles_draws_them(cv: ModuleType, tmp_path: Path, name: str) -
     (volume,), messages = fogs(cv)
     picture = render(scene, tmp_path, "CYCLES")[..., :3]
     assert not messages and np.allclose(picture, through(volume), rtol=3e-3)
+
+
+def lit(name: str) -> Any:
+    """A scene of fog with a light without size."""
+    scene = new_scene(24, 24)
+    like_cycles(scene, 256)
+    scene.cv_render.samples = 16
+    add_camera(scene, (0, -6, 1.5), (1.35, 0, 0))
+    lamp = add_light(scene, "POINT", location=(2, 0, 2.5), shadow_soft_size=0)
+    lamp.rotation_euler = (0, 0, 0)
+    if name == "box":
+        add_cube(scene, 3.0, fog(SCATTER, Color=(0.9, 0.8, 0.6, 1), Density=0.2, Anisotropy=0.5))
+    elif name == "instances":
+        cube = add_cube(scene, 1.2, fog(SCATTER, Density=0.4, Color=(0.9, 0.7, 0.5, 1)))
+        add(scene, "Turned", cube.data, (0.6, 0.2, 0.3), (0.1, 0.2, 0.3)).scale = (-1, 1.5, 1)
+    else:
+        add_floor(scene)
+        add_cube(scene, 0.8)
+        feed(scene.world, node(scene.world, SCATTER, Color=(0.8, 0.8, 0.8, 1), Density=0.1))
+    return scene
+
+
+@pytest.mark.parametrize("name", ["box", "instances", "world"])
+def test_fog_as_cycles_draws_it(cv: ModuleType, tmp_path: Path, name: str) -> None:
+    scene = lit(name)
+    theirs, ours = (render(scene, tmp_path, engine)[..., :3] for engine in ("CYCLES", "CV_RENDER"))
+    assert ours.mean(axis=(0, 1)) == pytest.approx(theirs.mean(axis=(0, 1)), rel=0.008)
+    assert np.abs(ours - theirs).mean() < 0.04 * theirs.mean()
+
+
+def test_passes_of_fog_and_lasers(cv: ModuleType, tmp_path: Path) -> None:
+    import bpy
+    import OpenEXR
+
+    scene = lit("world")
+    layer = bpy.context.view_layer
+    layer.cycles.use_pass_volume_direct = layer.cv_render.use_pass_volume_direct = True
+    layer.cv_render.use_pass_laser = True
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    found = {}
+    for engine in ("CYCLES", "CV_RENDER"):
+        scene.render.engine = engine
+        scene.render.filepath = str(tmp_path / f"{engine}.exr")
+        bpy.ops.render.render(write_still=True)
+        parts = OpenEXR.File(scene.render.filepath, separate_channels=True).parts
+        found[engine] = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    ours, theirs = found["CV_RENDER"], found["CYCLES"]
+    assert set(ours) - set(theirs) == {f"ViewLayer.Laser.{c}" for c in "RGB"}
+    name = "Volume Direct" if bpy.app.version >= (5, 0, 0) else "VolumeDir"
+    for c in "RGB":
+        a, b = (channels[f"ViewLayer.{name}.{c}"] for channels in (ours, theirs))
+        assert a.mean() == pytest.approx(b.mean(), rel=0.01)
+        assert not ours[f"ViewLayer.Laser.{c}"].any()

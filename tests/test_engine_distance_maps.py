@@ -75,7 +75,7 @@ def test_equiangular_survives_a_light_on_the_ray(foot):
         assert t[0] == 0 and t[-1] == pytest.approx(3, rel=1e-6)
         assert np.allclose(at.cdf(t), u, atol=1e-6)
         # What is as the density is constant.
-        d = at._distance
+        d = at.distance
         value = 1 / (pdf * (d * d + np.square(t - foot)))
         assert np.allclose(value, at.weight, rtol=1e-6)
 

@@ -49,6 +49,8 @@ class EquiAngular:
     """The angle at which the light sees the point is uniform.
 
     C. Kulla, M. Fajardo, "Importance sampling techniques for path tracing in participating media", 2012.
+
+    distance : (N,) that of the light, but not next to nothing.
     """
 
     def __init__(self, foot: np.ndarray, distance: np.ndarray, length: np.ndarray) -> None:
@@ -56,7 +58,7 @@ class EquiAngular:
         self._foot, self._length = foot, length
         beyond = length - foot
         reach = np.maximum(np.maximum(np.abs(foot), np.abs(beyond)), 1e-300)
-        self._distance = d = np.maximum(distance, _NEAREST * reach)
+        self.distance = d = np.maximum(distance, _NEAREST * reach)
         # Of the difference of two angles, not the difference of two arctangents.
         self._angle = np.arctan2(d * length, d * d - foot * beyond)
         self._square = d * d + foot * foot
@@ -64,22 +66,37 @@ class EquiAngular:
     @property
     def weight(self) -> np.ndarray:
         """(N,) the integral of 1 / r^2."""
-        return self._angle / self._distance
+        return self._angle / self.distance
 
     def sample(self, u: np.ndarray) -> np.ndarray:
         angle = u * self._angle
         sin, cos = np.sin(angle), np.cos(angle)
-        t = sin * self._square / np.maximum(self._distance * cos + self._foot * sin, 1e-300)
+        t = sin * self._square / np.maximum(self.distance * cos + self._foot * sin, 1e-300)
         return np.clip(t, 0, self._length)
+
+    def steps(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Places (count + 1, N) float32, about right, at even steps of u: from the foot, and from the start."""
+        root = np.sqrt(self._square)
+        cos, sin = (x.astype(np.float32) for x in (self.distance / root, -self._foot / root))
+        step = (self._angle / count).astype(np.float32)
+        step_cos, step_sin = np.cos(step), np.sin(step)
+        slope = np.empty((count + 1, len(step)), np.float32)
+        for row in slope:
+            np.divide(sin, np.maximum(cos, np.float32(1e-30)), out=row)
+            cos, sin = cos * step_cos - sin * step_sin, sin * step_cos + cos * step_sin
+        slope *= self.distance.astype(np.float32)
+        foot, length = self._foot.astype(np.float32), self._length.astype(np.float32)
+        t = np.clip(slope + foot, 0, length)
+        return t - foot, t
 
     def cdf(self, t: np.ndarray) -> np.ndarray:
         """(N,) the u that `sample` takes to t."""
-        d = self._distance
+        d = self.distance
         angle = np.arctan2(d * t, self._square - self._foot * t)
         return angle / np.maximum(self._angle, 1e-300)
 
     def pdf(self, t: np.ndarray) -> np.ndarray:
-        x, d = t - self._foot, self._distance
+        x, d = t - self._foot, self.distance
         return d / (np.maximum(self._angle, 1e-300) * (d * d + x * x))
 
 

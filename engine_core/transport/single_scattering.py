@@ -2,33 +2,54 @@
 """Light that fog scatters once, towards the camera, as a staged function of primary space.
 
     first : (screen 2, lens 2 if it has a size) -> camera rays, and the fog that they run through
-    rest  : (distance 1, light 2, choice 1) -> radiance scattered at one point of each ray
+    rest  : (distance 1, light 2, light choice 1) -> radiance scattered at one point of each ray
 
     L = integral along the ray of T(t) sum_lights sigma_s p(cos) fluence V T_light dt     (thesis eq. 6.1)
 
-The maps along rays are in `distance_maps`, those on lights in `emitters`. Lights without size need no other
-dimension than the distance, and `ray_rule` integrates that.
+The maps along rays are in `distance_maps`, those on lights in `emitters`. Where a ray runs through several
+fogs, the distance's dimension chooses among the segments first. Lights without size need no dimension but
+the distance, and `ray_rule` integrates that.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock
 
 import numpy as np
 
 from ..geometry.frame import Frame
-from ..geometry.surfaces import Surfaces
+from ..geometry.raytracer import FAR
+from ..geometry.surfaces import SHORTFALL, Surfaces
+from ..geometry.vectors import dot, inverse_length, take
 from ..settings import Settings
+from . import phase
 from .camera_hits import Pixels
 from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
+from .distance_maps import (
+    DistanceMap,
+    EquiAngular,
+    FreePath,
+    Tabulated,
+    UntruncatedPath,
+    within_depth,
+)
+from .emitters import PointEmitters, SunEmitters
+from .light_choice import CELL, WEIGHED, pilot_points
+from .light_choice_in_fog import AirLights, FogChoice, fog_clusters, segments
 from .light_samples import SceneLights
 from .media import Media, RayMedia
 from .shadows import Shadows
 from .surface_shading import SurfaceShader
+
+EVERY = 8
+"""Lights up to which all are sampled, and summed."""
+
+_STEPS = 8
+"""Of the table by which "auto" follows extinction and phase function between a light's angles."""
 
 
 @dataclass(eq=False)
@@ -38,7 +59,7 @@ class FogRays:
     values : None, as nothing is known without another dimension. lane : (M,) ascending; None for all N.
     origin, direction : (3, M) float64, unit directions.
     media : K segments, whose ``ray`` counts the M rays. first : (M + 1,) where those of each ray begin.
-    through : (3, K) float32, what transparent surfaces before a segment leave of it; None for all.
+    cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
     """
 
     origin: np.ndarray
@@ -46,7 +67,7 @@ class FogRays:
     media: RayMedia
     first: np.ndarray
     lane: np.ndarray | None = None
-    through: np.ndarray | None = None
+    cell: np.ndarray | None = None
     values: None = field(default=None, init=False)
 
     def __len__(self) -> int:
@@ -65,8 +86,8 @@ class FogRays:
 class SingleScattering:
     """What all estimates of light scattered once share, and all threads.
 
-    messages : none yet, of what can't be drawn. screen_dimensions : 2 of a pixel, and 2 of a lens.
-    sizeless, sized : numbers of the lights without size, which `ScatteredAlongRay` takes, and of all others.
+    screen_dimensions : 2 of a pixel, and 2 of a lens.
+    sizeless, sized : numbers of the lights without size, which `ray_rule` takes, and of all others.
     """
 
     def __init__(
@@ -80,26 +101,33 @@ class SingleScattering:
         settings: Settings,
     ) -> None:
         self.frame, self.media, self.lights, self.surfaces = frame, media, lights, surfaces
-        self.rays, self.settings = rays, settings
+        self.rays, self.sampling = rays, settings.distance_sampling
         self.shadows = Shadows(surfaces, shader, settings.transparent_bounces)
         self.screen_dimensions = rays.dimensions
-        size = np.concatenate([np.zeros(0)] + [group.size for group in lights.groups])
-        # Background and meshes have no size in this sense, or a size.
-        bare = np.repeat([not group.is_mesh and not group.is_background for group in lights.groups],
-                         [len(group) for group in lights.groups])  # fmt: skip
-        without = (size == 0) & bare.astype(bool)
-        if surfaces.any_transparent:
-            without[:] = False
-        self.sizeless, self.sized = np.flatnonzero(without), np.flatnonzero(~without)
+        bare = np.zeros(len(lights), bool)
+        for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
+            if isinstance(group, PointEmitters | SunEmitters):
+                bare[start:stop] = group.size == 0
+        # Whole rays know but light and dark: where shadows are coloured, points are sampled.
+        bare &= not surfaces.any_transparent
+        self.sizeless, self.sized = np.flatnonzero(bare), np.flatnonzero(~bare)
+        # Of each light's middle, inside which fogs it is.
+        self.light_state = np.zeros(len(lights), np.uint64)
+        if media.bodies and len(lights):
+            origins = np.ascontiguousarray(lights.centre.T, np.float32)
+            self.light_state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
 
     def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
         origins, directions = self.rays.rays(pixels.x, pixels.y, u)
-        reach = self.rays.reach
-        end = self.surfaces.distance(origins, directions, reach)
-        return self._in_fog(origins, directions, end)
+        rays = self._in_fog(origins, directions)
+        if len(self.lights) > WEIGHED:
+            cell = np.repeat(pixels.cell, u.shape[2])
+            rays.cell = cell if rays.lane is None else cell.take(rays.lane)
+        return rays
 
-    def _in_fog(self, origins: np.ndarray, directions: np.ndarray, end: np.ndarray) -> FogRays:
+    def _in_fog(self, origins: np.ndarray, directions: np.ndarray) -> FogRays:
+        end = self.surfaces.distance(origins, directions, self.rays.reach)
         media = self.media.along(origins, directions, end)
         scatters = self.media.scattering.any(axis=(0, 1))
         if not scatters.all():
@@ -114,28 +142,74 @@ class SingleScattering:
             directions = directions if len(directions) == 1 else directions.take(lane, axis=0)
         direction = directions.T.astype(np.float64)
         direction /= np.sqrt((direction * direction).sum(axis=0))
-        return FogRays(
-            origins.T.astype(np.float64),
-            np.broadcast_to(direction, (3, len(origins))),
-            media,
-            first,
-            lane,
+        direction = np.broadcast_to(direction, (3, len(origins)))
+        return FogRays(origins.T.astype(np.float64), direction, media, first, lane)
+
+    @property
+    def anisotropy(self) -> np.ndarray:
+        """(R,) of each mixture, the mean over its phase functions."""
+        brightness = self.media.scattering.mean(axis=1)
+        return self.media.anisotropy @ brightness / np.maximum(brightness.sum(axis=0), 1e-300)
+
+    # -- choosing among lights ---------------------------------------------------------------------
+
+    def choice_of_cells(
+        self,
+        only: np.ndarray,
+        cell_x: np.ndarray,
+        cell_y: np.ndarray,
+        between: Callable[[], None] = lambda: None,
+    ) -> FogChoice | None:
+        """The choice among lights ``only`` (L,) in K cells of the picture; None where all are sampled.
+
+        cell_x, cell_y : (K,) numbered from the whole frame's corner. between : called now and then.
+        """
+        if len(only) <= EVERY:
+            return None
+        lights = AirLights(self.lights, only)
+        if len(only) <= WEIGHED:
+            return FogChoice(lights, None)
+        u = pilot_points(cell_x, cell_y)
+        if self.screen_dimensions == 4:
+            u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
+        rays = self._in_fog(*self.rays.rays(cell_x * CELL, cell_y * CELL, u))
+        found = np.zeros(u.shape[1:], bool)
+        found.reshape(-1)[slice(None) if rays.lane is None else rays.lane] = True
+        # From where the fog begins to where it ends.
+        media, n = rays.media, found.size
+        where = segments(
+            rays.origin,
+            rays.direction,
+            media.start.take(rays.first[:-1]),
+            media.end.take(rays.first[1:] - 1),
+            self.thinnest.take(media.mixture.take(rays.first[:-1])),
+            self.thinnest[0],
         )
+        place, direction = np.zeros((7, n), np.float32), np.zeros((3, n), np.float32)
+        place[:, found.reshape(-1)], direction[:, found.reshape(-1)] = where
+        return FogChoice(lights, fog_clusters(lights, type(where)(place, direction).reshape(*found.shape), found, between))
+
+    @property
+    def thinnest(self) -> np.ndarray:
+        """(R,) extinction of each mixture, the least of its channels."""
+        return self.media.extinction.min(axis=0)
 
 
 def _taken(media: RayMedia, rows: np.ndarray) -> RayMedia:
     """Only segments ``rows``."""
-    return RayMedia(
-        media.ray.take(rows),
-        media.start.take(rows),
-        media.end.take(rows),
-        media.inside.take(rows),
-        media.mixture.take(rows),
-        media.depth.take(rows, axis=1),
-        media.total,
-        media.state,
-        media.emission,
-    )
+    parts = {name: getattr(media, name).take(rows) for name in ("ray", "start", "end", "inside", "mixture")}
+    return replace(media, **parts, depth=media.depth.take(rows, axis=1))
+
+
+@dataclass(eq=False)
+class _Places:
+    """P segments, of rays' own rows, and what is left of the dimension that chose them: row (P,), u (P,)."""
+
+    row: np.ndarray
+    u: np.ndarray
+
+    def take(self, rows: np.ndarray) -> _Places:
+        return _Places(self.row.take(rows), self.u.take(rows))
 
 
 class Scattered:
@@ -173,3 +247,246 @@ class Scattered:
             radiance[~np.isfinite(radiance)] = 0
         _bound(radiance)
         return radiance
+
+
+class ScatteredLight(Scattered):
+    """Light of any lights, one point of each camera ray and one of each light (or of one of many) at a time."""
+
+    def __init__(
+        self,
+        scattering: SingleScattering,
+        lights: np.ndarray,
+        choice: FogChoice | None = None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all."""
+        super().__init__(scattering, lights, check)
+        self._choice = choice
+        scene = scattering.lights
+        self._number = None if len(scene) == 1 else self._lights
+        self.rest_dimensions = 4 if choice is not None or scene.chooses_triangle else 3
+
+    def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self._check()
+        split = u.shape[2] if lane is None else 1
+        u = _inset(u).reshape(len(u), -1)
+        if lane is None:
+            lane = np.repeat(np.arange(len(rays)), split)
+        which, values = self._scattered(rays, lane, u)
+        return which, self._bounded(values)
+
+    def _scattered(self, rays: FogRays, ray: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which (J,) of rays ``ray`` (N,) get radiance (3, J) at u (D, N)."""
+        scattering, n = self._scattering, len(ray)
+        if n == 0 or len(self._lights) == 0:
+            return np.zeros(0, np.intp), np.zeros((3, 0))
+        if self._choice is None:
+            which = np.tile(np.arange(n), len(self._lights))
+            light = np.repeat(self._lights, n)
+            place, chance = self._segment(rays, ray.take(which), light, u[0].take(which))
+            w = u[-1].take(which)
+        else:
+            place, chance = self._segment(rays, ray, None, u[0])
+            found = rays.media
+            row = place.row
+            thinnest = scattering.thinnest
+            where = segments(
+                take(rays.origin, ray),
+                take(rays.direction, ray),
+                found.start.take(row),
+                found.end.take(row),
+                thinnest.take(found.mixture.take(row)),
+                thinnest[0],
+            )
+            cell = None if rays.cell is None else rays.cell.take(ray)
+            light, of_light, w = self._choice.choose(where, cell, u[3][:, None])
+            chance = chance * of_light
+            which = np.argsort(light, kind="stable")
+            place, light, chance, w = place.take(which), light.take(which), chance.take(which), w.take(which)
+        ray = ray.take(which)
+        parts = []
+        for t, density in self._distances(rays, ray, light, place):
+            parts.append(self._arriving(rays, ray, light, place, t, density * chance, take(u[1:3], which), w))
+        if len(parts) == 1:
+            rows, values = parts[0]
+            return which.take(rows), values
+        return (
+            np.concatenate([which.take(rows) for rows, _ in parts]),
+            np.concatenate([values for _, values in parts], axis=1),
+        )
+
+    def _segment(
+        self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray
+    ) -> tuple[_Places, np.ndarray]:
+        """A segment of each ray (P,), for lights (P,) or whichever, and the probabilities (P,) of these."""
+        row = rays.first.take(ray)
+        if len(rays.media.ray) == len(rays):
+            return _Places(row, u.astype(np.float64)), np.ones(len(ray))
+        rows, pair = rays.segments(ray)
+        media, scattering = rays.media, self._scattering
+        mixture = media.mixture.take(rows)
+        sigma = scattering.thinnest.take(mixture)
+        length = within_depth(sigma, (media.end - media.start).take(rows))
+        weight = length / (1 + sigma * length)
+        if light is not None:
+            foot, distance, finite = self._around(rays, ray.take(pair), light.take(pair), rows)
+            weight = np.where(finite, EquiAngular(foot, distance, length).weight, weight)
+        weight *= scattering.media.scattering.mean(axis=(0, 1)).take(mixture)
+        weight *= np.exp(-media.depth.min(axis=0).take(rows).astype(np.float64))
+        total = np.bincount(pair, weight, len(ray))
+        number = np.bincount(pair, minlength=len(ray))
+        # A part of the chances is the same for all segments, whatever is known of them.
+        weight = 0.95 * weight / np.where(total > 0, total, 1).take(pair)
+        weight += np.where(total > 0, 0.05, 1).take(pair) / number.take(pair)
+        upper = np.cumsum(weight)
+        start = np.cumsum(number) - number
+        base = (upper - weight).take(start)
+        upper = np.minimum(pair + (upper - base.take(pair)), pair + 1)
+        chosen = np.searchsorted(upper, np.arange(len(ray)) + u.astype(np.float64), side="right")
+        chosen = np.clip(chosen, start, start + number - 1)
+        chance = weight.take(chosen)
+        left = u - (upper.take(chosen) - np.arange(len(ray)) - chance)
+        return _Places(rows.take(chosen), np.clip(left / chance, 0, 1)), chance
+
+    def _around(
+        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, row: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Feet of lights (P,) on rays (P,) from the start of segments ``row`` on, how far they are, softened
+        by the lights' size, and which of them are at a finite distance."""
+        lights = self._scattering.lights
+        reach = lights.reach.take(light)
+        direction = take(rays.direction, ray)
+        vector = take(lights.centre, light) - take(rays.origin, ray)
+        foot = dot(vector, direction)
+        vector -= foot * direction
+        finite = np.isfinite(reach)
+        reach = np.where(finite, reach, 0)
+        return foot - rays.media.start.take(row), np.sqrt(dot(vector, vector) + reach * reach), finite
+
+    def _distances(
+        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, place: _Places
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Distances (P,) in segments, and densities (P,), of each technique that is summed."""
+        scattering, media = self._scattering, rays.media
+        mixture = media.mixture.take(place.row)
+        sigma = scattering.thinnest.take(mixture)
+        length = within_depth(sigma, (media.end - media.start).take(place.row))
+        sampling = scattering.sampling
+
+        def one(*maps: DistanceMap):
+            samples = [(m, m.sample(place.u)) for m in maps]
+            # The balance heuristic divides by the sum of all densities (thesis eq. 6.7, 6.8).
+            return [(t, sum(other.pdf(t) for other in maps)) for m, t in samples]
+
+        path = FreePath(sigma, length)
+        if sampling == "free_path_untruncated":
+            return one(UntruncatedPath(sigma, length))
+        if sampling == "free_path":
+            return one(path)
+        foot, distance, finite = self._around(rays, ray, light, place.row)
+        if not finite.any():
+            return one(path)
+        about = EquiAngular(foot, distance, length)
+        if sampling == "mis":
+            found = one(about, path)
+        elif sampling == "equiangular":
+            found = one(about)
+        else:
+            found = one(Tabulated(about, self._falling_off(about, place.row, media, light)))
+        if finite.all():
+            return found
+        # Of what is infinitely far, free paths alone; a second technique finds nothing more there.
+        (t, density), = one(path)
+        for i, (near, near_density) in enumerate(found):
+            found[i] = np.where(finite, near, t), np.where(finite, near_density, density if i == 0 else np.inf)
+        return found
+
+    def _falling_off(
+        self, about: EquiAngular, row: np.ndarray, media: RayMedia, light: np.ndarray
+    ) -> np.ndarray:
+        """(steps + 1, P) extinction and phase function at even steps of the angle, the largest about 1."""
+        scattering = self._scattering
+        x, t = about.steps(_STEPS)
+        r = np.sqrt(about.distance.astype(np.float32) ** 2 + x * x)
+        mixture = media.mixture.take(row)
+        sigma = scattering.thinnest.astype(np.float32).take(mixture)
+        same = scattering.light_state.take(light) == media.inside.take(row)
+        leg = np.where(same, sigma, np.float32(scattering.thinnest[0]))
+        depth = sigma * t + leg * r
+        depth -= depth.min(axis=0)
+        factor = np.exp(-depth)
+        g = scattering.anisotropy.take(mixture)
+        if g.any():
+            cosine = -x / r
+            factor *= phase.value((1 - cosine) / 2, (1 + cosine) / 2, g)
+            factor /= factor.max(axis=0)
+        return factor
+
+    def _arriving(
+        self,
+        rays: FogRays,
+        ray: np.ndarray,
+        light: np.ndarray,
+        place: _Places,
+        t: np.ndarray,
+        density: np.ndarray,
+        u: np.ndarray,
+        w: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which (J,) of P samples at distances t (P,) in segments get radiance (3, J)."""
+        scattering, media, fog = self._scattering, rays.media, self._scattering.media
+        lights, row = scattering.lights, place.row
+        length = (media.end - media.start).take(row)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            chance = 1 / density
+            far = np.minimum(t, length)
+            mixture = media.mixture.take(row)
+            passed = np.exp(-(take(media.depth, row) + take(fog.extinction, mixture) * far))
+            passed *= np.where(t <= length, chance, 0)
+        direction = take(rays.direction, ray)
+        position = take(rays.origin, ray) + direction * (media.start.take(row) + far)
+        number = None if len(lights) == 1 else light
+        to_light, weight, at_infinity, is_mesh = lights.sample_in_space(number, position, u, w)
+        passed = passed * weight
+        lit = np.flatnonzero(passed.any(axis=0))
+        if lit.size < len(ray):
+            ray, light, row, mixture, w = (x.take(lit) for x in (ray, light, row, mixture, w))
+            direction, position, to_light, passed = (take(x, lit) for x in (direction, position, to_light, passed))
+            at_infinity, is_mesh = (x if np.ndim(x) == 0 else x.take(lit) for x in (at_infinity, is_mesh))
+            number = None if number is None else light
+        less, more = phase.half_angle(to_light * inverse_length(to_light), direction)
+        scattered = np.zeros((3, len(ray)))
+        for sigma, g in zip(fog.scattering, fog.anisotropy, strict=True):
+            if sigma.any():
+                scattered += take(sigma, mixture) * (phase.value(less, more, g) if g else phase.ISOTROPIC)
+        scattered *= passed
+        scattered *= lights.strength_in_space(number, position, to_light, w)
+        arrive, part = self._passing(position, to_light, at_infinity, is_mesh, light)
+        scattered = take(scattered, arrive)
+        if part is not None:
+            scattered *= part
+        origins, directions = (np.ascontiguousarray(take(x, arrive).T, np.float32) for x in (position, to_light))
+        reach = np.where(np.broadcast_to(at_infinity, len(ray)).take(arrive), np.inf, 1)
+        depth = fog.optical_depth(origins, directions, reach, media.inside.take(row.take(arrive)))
+        scattered *= np.exp(-depth)
+        return lit.take(arrive), scattered
+
+    def _passing(self, position, to_light, at_infinity, is_mesh, light) -> tuple[np.ndarray, np.ndarray | None]:
+        """Which (J,) of shadow rays arrive, and what part (3, J) surfaces leave of them, None for all."""
+        scattering = self._scattering
+        casts = scattering.lights.casts_shadow.take(light)
+        rows = np.arange(len(light)) if casts.all() else np.flatnonzero(casts)
+        origins, directions = (np.ascontiguousarray(take(x, rows).T, np.float32) for x in (position, to_light))
+        reach = np.where(at_infinity, FAR, np.where(is_mesh, SHORTFALL, 1)).astype(np.float32)
+        reach = float(reach) if reach.ndim == 0 else reach.take(rows)
+        arrive, part, crossings = scattering.shadows.passing(origins, directions, reach)
+        self._count(SHADOW, len(rows))
+        if scattering.surfaces.any_transparent:
+            self._count(CROSSING, crossings)
+        if len(rows) == len(light):
+            return arrive, part
+        whole = np.ones((3, len(light)))
+        whole[:, rows] = 0
+        whole[:, rows.take(arrive)] = 1 if part is None else part
+        arrive = np.flatnonzero(whole.any(axis=0))
+        return arrive, take(whole, arrive)

@@ -12,7 +12,6 @@ from scenes import box, floor, sphere
 
 from engine_core import Camera, Material, Mesh, PointLight, RenderError, Scene, SunLight, Volume, World
 from engine_core.geometry import boundaries
-from engine_core.geometry.boundaries import Boundaries
 from engine_core.geometry.frame import Frame
 from engine_core.shading.closures import Diffuse, Glossy, Holdout, Mix, Transparent
 from engine_core.transport.direct_light import ALPHA, RGB, DirectLight, Pixels
@@ -32,7 +31,9 @@ def rays(count: int, seed: int, spread: float = 3.0) -> tuple[np.ndarray, np.nda
     rng = np.random.default_rng(seed)
     origins = rng.uniform(-spread, spread, (count, 3))
     towards = rng.uniform(-1, 1, (count, 3))
-    return origins.astype(np.float32), ((towards - origins) * rng.uniform(0.2, 3, (count, 1))).astype(np.float32)
+    return origins.astype(np.float32), ((towards - origins) * rng.uniform(0.2, 3, (count, 1))).astype(
+        np.float32
+    )
 
 
 def torus(major: float = 1.0, minor: float = 0.4, segments: int = 10, **fields: Any) -> Mesh:
@@ -68,7 +69,9 @@ def chord(low: Any, high: Any, origins: np.ndarray, directions: np.ndarray, end:
 
 @pytest.mark.parametrize("traced", (False, True))
 @pytest.mark.parametrize("reach", (0.7, np.inf))
-def test_depth_through_a_box_is_its_chord(traced: bool, reach: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_depth_through_a_box_is_its_chord(
+    traced: bool, reach: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if traced:
         monkeypatch.setattr(boundaries, "FEW_PLANES", 0)
     low, high = (-1, -0.5, -0.25), (0.75, 1.0, 0.5)
@@ -92,7 +95,9 @@ def test_depth_through_nested_and_overlapping_bodies_is_that_of_brute_force(
         sphere((0, 0, 0), 1.5, segments=8, volume=0),
         box((-0.6, -0.6, -0.6), (0.5, 0.4, 0.7), volume=1),
         torus(volume=2),
-        replace(box((0.2, 0, 0), (2.0, 0.9, 0.8), volume=1), triangles=box().triangles[:, ::-1]),  # inside out
+        replace(
+            box((0.2, 0, 0), (2.0, 0.9, 0.8), volume=1), triangles=box().triangles[:, ::-1]
+        ),  # inside out
     ]
     volumes = (Volume(0.5, anisotropy=0.3), Volume((0.1, 0.2, 0.4)), Volume(0, (0.3, 0, 0.1)))
     media = media_of(*meshes, volumes=volumes)
@@ -154,7 +159,9 @@ def test_rays_along_edges_stay_in_a_body_no_longer_than_it_is(
 def test_faces_that_coincide_leave_no_slivers() -> None:
     # Two boxes face to face, one around both, and one twice.
     left, right = box((-1, -1, -1), (0.1, 1, 1), volume=0), box((0.1, -1, -1), (1, 1, 1), volume=1)
-    media = media_of(left, right, box(volume=2), box(volume=2), volumes=(Volume(1.0), Volume(2.0), Volume(0.25)))
+    media = media_of(
+        left, right, box(volume=2), box(volume=2), volumes=(Volume(1.0), Volume(2.0), Volume(0.25))
+    )
     origins, directions = rays(2000, 4, 0.99)
     origins[:, 0] = -2
     directions = (np.array([[2, 0, 0]]) + 0.2 * directions).astype(np.float32)
@@ -164,12 +171,16 @@ def test_faces_that_coincide_leave_no_slivers() -> None:
     a = chord((-1, -1, -1), (0.1, 1, 1), origins, directions)
     b = chord((0.1, -1, -1), (1, 1, 1), origins, directions)
     np.testing.assert_allclose(along.total[0], 1.5 * a + 2.5 * b, atol=1e-5)
-    np.testing.assert_allclose(along.depth[0][along.inside == 0b1110], 1.5 * a[along.ray[along.inside == 0b1110]], atol=1e-5)
+    np.testing.assert_allclose(
+        along.depth[0][along.inside == 0b1110], 1.5 * a[along.ray[along.inside == 0b1110]], atol=1e-5
+    )
 
 
 def test_rays_begin_inside_or_outside() -> None:
     media = media_of(
-        sphere((0, 0, 0), 1.0, segments=64, volume=0), box((-2, -2, -2), (2, 2, 2), volume=0), volumes=(Volume(0.5),)
+        sphere((0, 0, 0), 1.0, segments=64, volume=0),
+        box((-2, -2, -2), (2, 2, 2), volume=0),
+        volumes=(Volume(0.5),),
     )
     x = np.array([-3, -1.5, 0, 1.5, 3], np.float32)
     origins = np.stack([x, 0.01 + 0 * x, 0.02 + 0 * x], axis=1)
@@ -226,7 +237,11 @@ def test_the_worlds_medium_is_everywhere_and_lets_nothing_through_from_infinity(
 
 
 def test_emission_is_that_of_a_sum_over_the_ray() -> None:
-    volumes = (Volume((0.5, 0, 0.2), emission=(1, 2, 0)), Volume(0.3, 0.4), Volume(0, emission=(0, 0.5, 0.25)))
+    volumes = (
+        Volume((0.5, 0, 0.2), emission=(1, 2, 0)),
+        Volume(0.3, 0.4),
+        Volume(0, emission=(0, 0.5, 0.25)),
+    )
     low, high = (-0.5, -0.4, -0.3), (0.6, 0.7, 0.8)
     media = media_of(box(volume=0), box(low, high, volume=1), box(low, high, volume=2), volumes=volumes)
     origins, directions = rays(200, 6)
@@ -234,7 +249,10 @@ def test_emission_is_that_of_a_sum_over_the_ray() -> None:
     t = (np.arange(4000) + 0.5) / 4000 * 2
     points = origins[:, None].astype(float) + directions[:, None] * t[:, None]
     inside = np.stack(
-        [((points > a) & (points < b)).all(axis=2) for a, b in (((-1,) * 3, (1,) * 3), (low, high), (low, high))]
+        [
+            ((points > a) & (points < b)).all(axis=2)
+            for a, b in (((-1,) * 3, (1,) * 3), (low, high), (low, high))
+        ]
     )
     step = 2 / 4000 * length[:, None]
     sigma, glow = (
@@ -282,7 +300,9 @@ def test_mixtures_add_up_their_phase_functions() -> None:
 def test_many_bodies() -> None:
     """More than the tables of all sets hold, and more than there may be."""
     count = DIRECT + 8
-    boxes = [box((-1, -1, 2 * i), (1, 1, 2 * i + 3), volume=0) for i in range(count)]  # each overlaps the next
+    boxes = [
+        box((-1, -1, 2 * i), (1, 1, 2 * i + 3), volume=0) for i in range(count)
+    ]  # each overlaps the next
     media = media_of(*boxes, volumes=(Volume(0.01),))
     ray = np.array([[0.1, 0.2, -1]], np.float32), np.array([[0, 0, 1]], np.float32)
     along = media.along(*ray, np.inf)
@@ -297,7 +317,9 @@ def test_there_are_no_media_where_nothing_attenuates_or_glows() -> None:
     assert media_of(box(volume=0), box(), volumes=(Volume(),), world=0) is None
 
 
-@pytest.mark.parametrize("meshes", ((), (box(volume=0),), (box(volume=0), sphere(volume=0, segments=32))), ids=len)
+@pytest.mark.parametrize(
+    "meshes", ((), (box(volume=0),), (box(volume=0), sphere(volume=0, segments=32))), ids=len
+)
 @pytest.mark.parametrize("world", (-1, 0))
 def test_no_rays_at_all(meshes: tuple[Mesh, ...], world: int) -> None:
     media = media_of(*meshes, box(volume=0), volumes=(Volume(1.0, emission=1.0),), world=world)
@@ -401,7 +423,9 @@ def test_layers_of_alpha_in_fog() -> None:
     def lit(z: float, albedo: float, inside: float) -> np.ndarray:
         square = 1 + (4 - z) ** 2
         share = inside / (4 - z)
-        return albedo * 100 / (4 * np.pi**2) * (4 - z) / square**1.5 * np.exp(-SIGMA * share * np.sqrt(square))
+        return (
+            albedo * 100 / (4 * np.pi**2) * (4 - z) / square**1.5 * np.exp(-SIGMA * share * np.sqrt(square))
+        )
 
     # The way from the floor to the lamp passes beside the sheets.
     layers = lit(3, 0.15, 0) + through * np.exp(-0.5 * SIGMA) * lit(2, 0.15, 0.5)
@@ -441,7 +465,9 @@ def glow_on_floor(scene: Scene, count: int = 192) -> np.ndarray:
     return integrand.rest(hits, None, u, None).radiance.sum(axis=1, dtype=float) / count**2
 
 
-@pytest.mark.parametrize("closure", (None, Diffuse(0.8), Glossy(0.8, 1.0, "GGX")), ids=("constant", "shader", "rough"))
+@pytest.mark.parametrize(
+    "closure", (None, Diffuse(0.8), Glossy(0.8, 1.0, "GGX")), ids=("constant", "shader", "rough")
+)
 def test_glowing_fog_lights_surfaces(closure: Any) -> None:
     layer = box((-3e3, -3e3, 1), (3e3, 3e3, 2), volume=2, surface=False)
     scene = looking_down(floor(), layer, materials=(Material(0.8, surface=closure),), volumes=FOG)
@@ -477,6 +503,8 @@ def test_glow_passes_through_layers_and_stops_at_what_is_opaque() -> None:
     # Radiance grows with the way through: halves of the layer add up to it.
     np.testing.assert_allclose(lit(sheet(0.5, 1)), tint * clear, rtol=4e-3)
     np.testing.assert_allclose(lit(sheet(1.5, 1)), (1 + tint) / 2 * clear, rtol=4e-3)
-    np.testing.assert_allclose(lit(sheet(1.25, 1), sheet(1.5, 1)), (1 + tint + 2 * tint**2) / 4 * clear, rtol=4e-3)
+    np.testing.assert_allclose(
+        lit(sheet(1.25, 1), sheet(1.5, 1)), (1 + tint + 2 * tint**2) / 4 * clear, rtol=4e-3
+    )
     np.testing.assert_allclose(lit(sheet(1.25, 1), sheet(1.5, 2)), (1 + tint) / 4 * clear, rtol=4e-3)
     assert not lit(sheet(0.5, 2)).any()

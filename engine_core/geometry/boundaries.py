@@ -56,13 +56,18 @@ class Boundaries:
         return all(isinstance(body, _Convex) for body in self.bodies)
 
     def spans(
-        self, body: int, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, inside: np.ndarray | None
+        self,
+        body: int,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: np.ndarray,
+        inside: np.ndarray | None,
     ) -> Spans:
         """Where rays are inside one body, between 0 and their ``reach`` (N,).
 
         origins, directions : (N, 3) float32, of any length.
-        inside : (N,) bool, which rays begin inside; None if unknown. Needed of an open body alone, where a ray
-            may not meet it any more; of others it saves work.
+        inside : (N,) bool, which rays begin inside; None if unknown. Needed of an open body alone, which a
+            ray may not meet any more; of others it saves work.
         """
         return self.bodies[body].spans(origins, directions, reach, inside)
 
@@ -169,7 +174,10 @@ class _Traced:
             found.append(Spans(never, np.zeros(len(never)), whole.take(never)))
         order = np.argsort(np.concatenate([spans.ray for spans in found]), kind="stable")
         return Spans(
-            *(np.concatenate([getattr(x, name) for x in found]).take(order) for name in ("ray", "start", "end"))
+            *(
+                np.concatenate([getattr(x, name) for x in found]).take(order)
+                for name in ("ray", "start", "end")
+            )
         )
 
     def contains(self, points: np.ndarray) -> np.ndarray:

@@ -96,7 +96,8 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size, and no fog glows. channels, transparent, sees : as in `CameraStage`.
-    media : the fogs of the scene, None for none. frame, shader, surfaces, stage, shadows : what else it is made of.
+    media : the fogs of the scene, None for none.
+    frame, shader, surfaces, stage, shadows : what else it is made of.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
@@ -356,9 +357,14 @@ class DirectLight:
         return parts
 
     def _glow_along(
-        self, points: SurfacePoints, which: np.ndarray, at: np.ndarray, direction: np.ndarray, value: np.ndarray
+        self,
+        points: SurfacePoints,
+        which: np.ndarray,
+        at: np.ndarray,
+        direction: np.ndarray,
+        value: np.ndarray,
     ) -> Reflected:
-        """Samples ``which`` (K,) of what glows along ``direction`` (3, K), which ``value`` (3, K) reflects."""
+        """Samples ``which`` (K,) of what glows along ``direction`` (3, K), reflected by ``value`` (3, K)."""
         lit, bad = _finite(value.max(axis=0))
         which, at, direction, value = which.take(lit), at.take(lit), take(direction, lit), take(value, lit)
         cosine = dot(take(points.normal, at), direction)

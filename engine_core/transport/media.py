@@ -194,7 +194,9 @@ class Media:
         mixture = self.mixture_of(inside)
         filled = np.flatnonzero(self._fills.take(mixture) & (until > start))
         if len(filled) < len(ray):
-            ray, start, until, inside, mixture = (x.take(filled) for x in (ray, start, until, inside, mixture))
+            ray, start, until, inside, mixture = (
+                x.take(filled) for x in (ray, start, until, inside, mixture)
+            )
         sigma = take(self.extinction, mixture)
         unit = _norm(directions).take(ray)
         start, until = start * unit, until * unit
@@ -241,8 +243,8 @@ class Media:
             return *everywhere, end, state, state
         ray = np.concatenate([everywhere[0]] + [spans.ray for spans in found for _ in range(2)])
         start = np.concatenate([everywhere[1]] + [t for spans in found for t in (spans.start, spans.end)])
-        changes = np.concatenate([state * np.uint64(0)] + [b for b in bits for _ in range(2)])
-        order = np.lexsort((start, ray))
+        changes = np.concatenate([np.zeros(n, np.uint64)] + [b for b in bits for _ in range(2)])
+        order = _by_ray(ray, start)
         ray, start = ray.take(order), start.take(order)
         # All spans end with their ray at the latest, so bits need no new beginning there.
         within = np.bitwise_xor.accumulate(changes.take(order))
@@ -254,7 +256,7 @@ class Media:
     def seen(
         self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Transmittance (3, N) of rays to their ends, and what the media emit on the way (3, N), None for 0."""
+        """Transmittance (3, N) of rays to their ends, and what media emit on the way (3, N), None for 0."""
         if self.emits:
             media = self.along(origins, directions, end)
             return self.transmittance(media.total), media.emission
@@ -283,6 +285,15 @@ def _norm(directions: np.ndarray) -> np.ndarray:
     """(N,) float64 lengths of (N, 3) directions."""
     x, y, z = directions.T.astype(np.float64)
     return np.sqrt(x * x + y * y + z * z)
+
+
+def _by_ray(ray: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(K,) order of events by ray, then by where they are, which is at least 0, to float32's precision."""
+    # Floats that are not negative sort like the integers of the same bits. One key takes an eighth of the
+    # time of two; a stretch between events that it swaps has no length, or less.
+    with np.errstate(over="ignore"):
+        bits = at.astype(np.float32).view(np.uint32)
+    return np.argsort(ray.astype(np.uint64) << np.uint64(32) | bits, kind="stable")
 
 
 def _sum_before(ray: np.ndarray, values: np.ndarray) -> np.ndarray:

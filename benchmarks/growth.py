@@ -22,8 +22,8 @@ from engine_core import Scene, Settings, render
 from example_blends.model import Lamp, Model, Thing, View, diffuse
 from example_blends.shapes import ball, grid_faces
 
+from .chapters.common import log_log, table
 from .scenes import core
-from .thesis import log_log, table
 
 FOLDER = dev.PRIVATE / "growth"
 BASE = {"pixels": 256, "triangles": 10_000, "lights": 1, "samples": 16, "threads": 0}

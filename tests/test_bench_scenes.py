@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.chapters.direct import PrimarySpace
 from benchmarks.scenes.core import MODELS, example, scene
-from benchmarks.thesis import PrimarySpace
 from engine_core import Settings, render
 from example_blends.model import Model, Ramp, Surface, Thing, View
 from example_blends.shapes import ball, box, corner_normals, revolved

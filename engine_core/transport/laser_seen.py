@@ -277,7 +277,8 @@ class Outline:
             ]  # fmt: skip
             points = np.array(corners).T
         if points is not None:
-            place, depth = rays.image_of(points)
+            with np.errstate(invalid="ignore", over="ignore"):
+                place, depth = rays.image_of(points)
             if (depth > rays.clip_start / 2).all():
                 low, high = place.min(axis=1), place.max(axis=1)
                 margin = 0.03 * (high - low) + 1e-9

@@ -18,6 +18,9 @@ FEW_PLANES = 24
 
 _ULPS = 8 * 2.0**-24
 
+_MOST_HEIGHTS = 1 << 26
+"""Of vertices above triangles, looked at to tell whether a body is convex."""
+
 _SOME_DIRECTION = np.array([0.4289, 0.6719, 0.6037], np.float32)
 """Along no edge of what people build."""
 
@@ -109,9 +112,13 @@ class _Traced:
     """Any body: a tracer of its triangles, which rays that miss its bounding box never meet.
 
     sign : -1 if its triangles face inwards. closed : whether every edge joins two triangles.
+    convex : whether rays leave it but once.
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, sign: int, closed: bool) -> None:
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, sign: int, closed: bool, convex: bool
+    ) -> None:
+        self._convex = convex
         self._tracer = RayTracer(vertices, triangles)
         self._sign, self._closed = np.float32(sign), closed
         used = vertices[triangles.ravel()] if len(triangles) else np.zeros((1, 3), np.float32)
@@ -165,6 +172,8 @@ class _Traced:
             # Along an edge, or a triangle seen edge-on, hits may repeat: ever further then.
             step = np.where(distance < 4 * step, 2 * step, offset)
             last, within, on = at, entering, at < reach
+            if self._convex:
+                on &= entering
             ray, origins, directions, reach, known, offset, last, step, within = (
                 x.compress(on, axis=0)
                 for x in (ray, origins, directions, reach, known, offset, last, step, within)
@@ -223,14 +232,33 @@ def _body_of(vertices: np.ndarray, triangles: np.ndarray) -> _Convex | _Traced:
     corners -= corners.mean(axis=0) if len(corners) else 0
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     sign = -1 if (a * np.cross(b, c)).sum() < 0 else 1
-    planes = _planes_of(vertices.astype(np.float64), triangles, sign) if closed else None
-    return _Traced(vertices, triangles, sign, closed) if planes is None else _Convex(*planes)
+    if not closed:
+        return _Traced(vertices, triangles, sign, closed, False)
+    corners = vertices.astype(np.float64)
+    planes = _planes_of(corners, triangles, sign)
+    if planes is None:
+        return _Traced(vertices, triangles, sign, closed, _is_convex(corners, triangles, sign))
+    return _Convex(*planes)
 
 
 def _is_closed(triangles: np.ndarray, count: int) -> bool:
     """Whether each edge is run through once in either direction."""
     start, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel()
     return np.array_equal(np.sort(start * count + end), np.sort(end * np.int64(count) + start))
+
+
+def _is_convex(vertices: np.ndarray, triangles: np.ndarray, sign: int) -> bool:
+    """Whether no vertex (V, 3) is above a triangle; unknown of many, which counts as no."""
+    if len(triangles) * len(vertices) > _MOST_HEIGHTS:
+        return False
+    tolerance = _ULPS * np.abs(vertices).max()
+    for start in range(0, len(triangles), 256):
+        a, b, c = (vertices[triangles[start : start + 256, k]] for k in range(3))
+        normals = sign * np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+        if ((normals @ vertices.T).max(axis=1) > (normals * a).sum(axis=1) + tolerance).any():
+            return False
+    return True
 
 
 def _planes_of(

@@ -27,7 +27,7 @@ NODES, NODES_OF_SPOTS = 9, 17
 BISECTIONS = 3
 """Of the step in which a shadow has its edge."""
 
-POINTS, POINTS_OF_PEAKS = 8, 16
+POINTS, POINTS_OF_PEAKS = 10, 16
 """Of the quadrature of what is smooth, in each piece of a lane; more where a phase function has a peak."""
 
 _PEAK = 0.6

@@ -1,0 +1,456 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light scattered once by fog: against quadrature and brute force, unbiased, and finite for any input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from engine_core import AreaLight, Camera, Mesh, PointLight, Scene, Settings, SpotLight, SunLight, World
+from engine_core.scene import Volume
+from engine_core.settings import DISTANCE_SAMPLING
+from engine_core.transport.camera_hits import Pixels
+from engine_core.transport.direct_light import DirectLight
+from engine_core.transport.fog_lanes import Segments
+from engine_core.transport.ray_rule import AlongRay, ScatteredAlongRay
+from engine_core.transport.single_scattering import ScatteredLight, SingleScattering
+
+EDGE = 32
+LIGHT = np.array([1.2, 0.2, -1.5])
+
+
+def fog(lights, volumes, world=-1, meshes=(), sampling="auto", **camera) -> SingleScattering:
+    view = Camera.look_at((0, 0, 0), (0, 0, -1), EDGE, EDGE, 0.9, up=(0, 1, 0), **camera)
+    scene = Scene(view, tuple(meshes), lights=tuple(lights), volumes=tuple(volumes), world=World(volume=world))
+    direct = DirectLight(scene)
+    return SingleScattering(
+        direct.frame,
+        direct.media,
+        direct.lights,
+        direct.surfaces,
+        direct.shader,
+        direct.stage.rays,
+        Settings(distance_sampling=sampling),
+    )
+
+
+def box(low, high, volume=0) -> Mesh:
+    corner = np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)], np.float32)
+    faces = [
+        [0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
+        [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5],
+    ]  # fmt: skip
+    return Mesh(corner, np.array(faces, np.int32), volume=volume, surface=False)
+
+
+def ball(centre, radius, rows=24) -> Mesh:
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, rows), np.arange(2 * rows) * np.pi / rows, indexing="ij")
+    unit = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=-1)
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(2 * rows), indexing="ij")
+    a, b = i * 2 * rows + j, i * 2 * rows + (j + 1) % (2 * rows)
+    quads = np.stack([a, b, a + 2 * rows, b, b + 2 * rows, a + 2 * rows], axis=-1)
+    vertices = (unit.reshape(-1, 3) * radius + np.array(centre)).astype(np.float32)
+    return Mesh(vertices, quads.reshape(-1, 3).astype(np.int32))
+
+
+def pixels(count=None, seed=0) -> Pixels:
+    if count is None:
+        y, x = np.divmod(np.arange(EDGE * EDGE), EDGE)
+    else:
+        x, y = np.random.default_rng(seed).integers(0, EDGE, (2, count))
+    return Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(x), np.int32))
+
+
+def rays_of(integrand, count=60, seed=0):
+    chosen = pixels(count, seed)
+    return integrand.first(chosen, np.random.default_rng(seed + 1).random((2, count, 1)))
+
+
+def spot_at(position, target, **fields) -> SpotLight:
+    matrix = np.eye(4)
+    axis = np.subtract(position, target) / np.linalg.norm(np.subtract(position, target))
+    side = np.cross([0.3, 0.2, 1], axis)
+    side /= np.linalg.norm(side)
+    matrix[:3] = np.stack([side, np.cross(axis, side), axis, position], axis=1)
+    return SpotLight(light_to_world=matrix, **fields)
+
+
+def henyey_greenstein(cosine, g):
+    return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+
+
+def by_quadrature(scattering, rays, number, value, points=(), accuracy=1e-11) -> float:
+    """The integral of ``value`` (position, direction of view, distance), in scene units, along a ray."""
+    scale = scattering.frame.scale
+    o, d = rays.origin[:, number] / scale, rays.direction[:, number]
+    # Rays begin at the first fog, and end at the last.
+    rows = slice(*rays.first[number : number + 2])
+    start, end = rays.media.start[rows][0] / scale, rays.media.end[rows][-1] / scale
+    foot = (LIGHT - o) @ d
+    wanted = [p for p in (foot, *(start + np.asarray(points))) if start < p < end]
+
+    def f(t):
+        return value(o + t * d, d, t - start)
+
+    return integrate.quad(f, start, end, points=wanted or None, epsabs=0, epsrel=accuracy, limit=400)[0]
+
+
+# -- against quadrature ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("g", [-0.8, 0.0, 0.5, 0.8])
+@pytest.mark.parametrize("sigma", [1e-9, 0.01, 0.3, 3.0, 20.0])
+def test_airlight_of_a_point_light_is_exact(g, sigma):
+    volume = Volume(scattering=0.75 * sigma, absorption=0.25 * sigma, anisotropy=g)
+    scattering = fog([PointLight(power=4 * np.pi, position=LIGHT)], [volume], world=0, clip_end=6.0)
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand)
+    found, spread = integrand.along(rays, None)
+    assert (spread == 0).all()
+
+    def value(p, d, t):
+        r = np.linalg.norm(p - LIGHT)
+        # Light comes along p - LIGHT and leaves along -d.
+        phase = henyey_greenstein((LIGHT - p) @ d / r, g)
+        return 0.75 * sigma * phase * np.exp(-sigma * (t + r)) / r**2
+
+    for number in range(0, 60, 4):
+        exact = by_quadrature(scattering, rays, number, value, points=np.array([0.1, 0.4, 1, 3, 9]) / sigma)
+        assert found[:, number] == pytest.approx(np.full(3, exact), rel=1e-6 + 1e-7 * sigma, abs=1e-30)
+
+
+def test_coloured_extinction_is_exact_in_every_channel():
+    scattering_colour, absorption = np.array([0.3, 0.05, 2.0]), np.array([0.01, 0.0, 3.0])
+    volume = Volume(scattering=scattering_colour, absorption=absorption, anisotropy=0.3)
+    scattering = fog([PointLight(power=(1, 2, 3), position=LIGHT)], [volume], world=0, clip_end=6.0)
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand)
+    found, _ = integrand.along(rays, None)
+    for number in range(0, 60, 5):
+        for channel in range(3):
+            sigma = (scattering_colour + absorption)[channel]
+
+            def value(p, d, t, sigma=sigma, channel=channel):
+                r = np.linalg.norm(p - LIGHT)
+                strength = (channel + 1) / (4 * np.pi) * scattering_colour[channel]
+                return strength * henyey_greenstein((LIGHT - p) @ d / r, 0.3) * np.exp(-sigma * (t + r)) / r**2
+
+            exact = by_quadrature(scattering, rays, number, value, points=[0.05, 0.2, 0.6, 1.5])
+            assert found[channel, number] == pytest.approx(exact, rel=3e-5)
+
+
+def test_a_spot_in_a_box_of_fog():
+    spot = spot_at(LIGHT, (-0.5, 0, -3), power=4 * np.pi, angle=0.8, blend=0.4)
+    scattering = fog([spot], [Volume(scattering=0.4)], meshes=[box((-3, -3, -5), (3, 3, 0.5))])
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand)
+    found, _ = integrand.along(rays, None)
+    axis = spot.light_to_world[:3, 2]
+    edge = np.cos(0.4)
+
+    def value(p, d, t):
+        r = np.linalg.norm(p - LIGHT)
+        x = np.clip(((LIGHT - p) @ axis / r - edge) / ((1 - edge) * 0.4), 0, 1)
+        return 0.4 / (4 * np.pi) * x * x * (3 - 2 * x) * np.exp(-0.4 * (t + r)) / r**2
+
+    lit = 0
+    for number in range(0, 60, 3):
+        exact = by_quadrature(scattering, rays, number, value, np.linspace(0, 6, 40), 1e-8)
+        assert found[0, number] == pytest.approx(exact, rel=2e-5, abs=1e-9)
+        lit += exact > 1e-6
+    assert 5 < lit < 20
+
+
+def _depth(point, towards, length, boxes):
+    """Optical depth along a line through axis-aligned boxes (low, high, sigma)."""
+    total = 0.0
+    for low, high, sigma in boxes:
+        with np.errstate(divide="ignore"):
+            a, b = (np.array(low) - point) / towards, (np.array(high) - point) / towards
+        near, far = np.minimum(a, b).max(), np.maximum(a, b).min()
+        total += sigma * max(min(far, length) - max(near, 0), 0)
+    return total
+
+
+BOXES = (((-1.1, -0.9, -4.0), (0.9, 1.3, -1.0), 0.5), ((-0.3, -2.0, -3.1), (2.5, 2.0, -2.0), 1.2))
+
+
+@pytest.mark.parametrize("kind", ["point", "sun"])
+def test_two_fogs_that_overlap(kind):
+    """Each with a phase function of its own; the way to the light leads through both, and neither."""
+    towards = np.array([0.4, 1.0, 0.3]) / np.linalg.norm([0.4, 1.0, 0.3])
+    lights = {
+        "point": PointLight(power=4 * np.pi, position=LIGHT),
+        "sun": SunLight(power=1.0, direction=-towards),
+    }
+    volumes = [Volume(scattering=0.5, anisotropy=0.4), Volume(scattering=0.3, absorption=0.9, anisotropy=-0.6)]
+    meshes = [box(low, high, i) for i, (low, high, _) in enumerate(BOXES)]
+    scattering = fog([lights[kind]], volumes, meshes=meshes)
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand, 40)
+    found, _ = integrand.along(rays, None)
+
+    def value(p, d, t):
+        if kind == "sun":
+            to_light, reach, falloff = towards, np.inf, 1.0
+        else:
+            reach = np.linalg.norm(LIGHT - p)
+            to_light, falloff = (LIGHT - p) / reach, 1 / reach**2
+        inside = [all(np.array(low) <= p) and all(p <= np.array(high)) for low, high, _ in BOXES]
+        cosine = to_light @ d
+        scattered = inside[0] * 0.5 * henyey_greenstein(cosine, 0.4)
+        scattered += inside[1] * 0.3 * henyey_greenstein(cosine, -0.6)
+        leg = _depth(p, to_light, reach, BOXES)
+        return scattered * falloff * np.exp(-leg - _depth(np.zeros(3), d, np.linalg.norm(p), BOXES))
+
+    assert len(rays.media.ray) > len(rays)
+    for number in range(0, len(rays), 6):
+        rows = slice(*rays.first[number : number + 2])
+        kinks = np.unique(np.concatenate([rays.media.start[rows], rays.media.end[rows]])) / scattering.frame.scale
+        kinks -= kinks[0]
+        points = np.unique(np.concatenate([kinks, np.linspace(0, kinks[-1], 12)]))
+        exact = by_quadrature(scattering, rays, number, value, points, 1e-5)
+        # Where the way to the light passes a box's edge, there is a kink.
+        assert found[0, number] == pytest.approx(exact, rel=2e-2)
+    reference = _dense(integrand, rays, 4000)
+    assert found == pytest.approx(reference, rel=2e-2)
+    assert found.sum() == pytest.approx(reference.sum(), rel=2e-3)
+
+
+# -- shadows -----------------------------------------------------------------------------------------
+
+
+def _dense(integrand: ScatteredAlongRay, rays, count: int) -> np.ndarray:
+    """Brute force (3, N): ``count`` points a lane, each with its own shadow ray."""
+    segments = Segments.of(rays, None, integrand._scattering.media)
+    total = np.zeros((3, len(rays)))
+    s = (np.arange(count) + 0.5) / count
+    for _, lanes in integrand._lanes(segments):
+        part = 0.0
+        for some in np.array_split(s, max(1, count * len(lanes) // 200_000)):
+            values = lanes.smooth(some[:, None]) * integrand._seen(lanes, some[:, None])
+            part = part + values.sum(axis=2, dtype=np.float64)
+        for out, channel in zip(total, lanes.radiance(part / count), strict=True):
+            out += np.bincount(segments.ray.take(lanes.segment), channel, len(rays))
+    return total
+
+
+THIN = Volume(scattering=0.15, anisotropy=0.3)
+OCCLUDER = ball((0.2, 0.1, -2.5), 0.5)
+CASES = {
+    "point": ([PointLight(power=50, position=(1.2, 1.2, -1.5))], 0, ()),
+    "spot": ([spot_at((1.2, 1.2, -1.5), (0, 0, -3), power=50, angle=1.0)], 0, ()),
+    "sun in a box": ([SunLight(power=1, direction=(-0.4, -1, -0.2))], -1, (box((-2, -2, -5), (2, 2, 1)),)),
+    "three lights, two of them": (
+        [
+            PointLight(power=20, position=(1.2, 1.2, -1.5)),
+            PointLight(power=(3, 30, 9), position=(-1.2, 1.0, -2.5)),
+            spot_at((0, 2, -2), (0, 0, -2.5), power=20, angle=0.6),
+        ],
+        0,
+        (),
+    ),
+}
+
+
+@pytest.mark.parametrize("lights, world, meshes", CASES.values(), ids=CASES)
+def test_whole_rays_are_unbiased_and_the_rule_is_near(lights, world, meshes):
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], clip_end=5.0)
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand, 64)
+    exact = _dense(integrand, rays, 3000)
+    rule, spread = integrand.along(rays, None)
+    assert rule.mean() == pytest.approx(exact.mean(), rel=0.01)
+    assert np.sqrt(np.square(rule - exact).mean()) < 0.03 * exact.mean()
+    each = 256
+    u = np.random.default_rng(4).random((2, len(rays), each))
+    values = integrand.rest(rays, None, u)[1].reshape(3, len(rays), each)
+    # Of a sample, about as the rule says it, who does not know of shadows that it missed; and the mean over rays.
+    deviation = values.std(axis=2)
+    assert 0.05 < np.sqrt(np.square(spread).mean() / np.square(deviation.sum(axis=0)).mean()) < 5
+    for channel in range(3):
+        error = np.sqrt((np.square(deviation[channel]) / each).sum()) + 1e-5 * exact[channel].sum()
+        assert abs(values[channel].mean(axis=1).sum() - exact[channel].sum()) < 4 * error
+    assert integrand.counts["non-finite samples"] == 0
+
+
+@pytest.mark.parametrize("sampling", DISTANCE_SAMPLING)
+@pytest.mark.parametrize("case", ["point", "sun in a box"])
+def test_single_points_agree_with_whole_rays(sampling, case):
+    lights, world, meshes = CASES[case]
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
+    rays = rays_of(ScatteredAlongRay(scattering), 48)
+    exact = _dense(ScatteredAlongRay(scattering), rays, 2000)
+    mean, error = _mean(ScatteredLight(scattering, scattering.sizeless), rays, 600)
+    assert abs(mean.sum() - exact[0].sum()) < 4 * error
+
+
+def _mean(integrand: ScatteredLight, rays, each: int) -> tuple[np.ndarray, float]:
+    """Means (N,) of the first channel, and the standard error of their sum."""
+    u = np.random.default_rng(7).random((integrand.rest_dimensions, len(rays), each))
+    which, values = integrand.rest(rays, None, u)
+    assert np.isfinite(values).all()
+    dense = np.bincount(which, values[0], len(rays) * each).reshape(len(rays), each)
+    return dense.mean(axis=1), float(np.sqrt(dense.var(axis=1).sum() / each))
+
+
+def test_an_area_light_by_brute_force():
+    """Uniform distances and points, and shadows by arithmetic, against all ways to sample the same."""
+    matrix = np.eye(4)
+    matrix[:3] = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [0.2, 1.5, -2.5]]).T
+    light = AreaLight(power=30.0, light_to_world=matrix, size=(1.0, 0.6))
+    assert np.allclose(matrix[:3, 2], [0, 1, 0])  # shines down
+    scattering = fog([light], [THIN], 0, [OCCLUDER], clip_end=5.0)
+    integrand = ScatteredLight(scattering, np.arange(1))
+    rays = rays_of(integrand, 48)
+    rng = np.random.default_rng(1)
+    scale, each = scattering.frame.scale, 4000
+    o, d = rays.origin / scale, rays.direction
+    length = (rays.media.end - rays.media.start) / scale
+    t = rng.random((len(rays), each)) * length[:, None]
+    begin = o + d * rays.media.start / scale
+    p = begin[:, :, None] + d[:, :, None] * t
+    x, y = rng.random((2, len(rays), each)) - 0.5
+    on = np.stack([0.2 + x, np.full_like(x, 1.5), -2.5 - 0.6 * y])
+    vector = on - p
+    r = np.sqrt((vector * vector).sum(axis=0))
+    cosine = vector[1] / r
+    to_centre = np.array([0.2, 0.1, -2.5])[:, None, None] - p
+    along = np.clip((to_centre * vector).sum(axis=0) / (r * r), 0, 1)
+    gap = to_centre - along * vector
+    free = (gap * gap).sum(axis=0) > 0.25 * 0.996  # of a ball of flat triangles
+    phase = henyey_greenstein((vector * d[:, :, None]).sum(axis=0) / r, 0.3)
+    radiance = 30.0 / (np.pi * 0.6)
+    value = 0.15 * phase * np.exp(-0.15 * (t + r)) * radiance * np.maximum(cosine, 0) / r**2 * 0.6 * free
+    value *= length[:, None]
+    brute, error = value.mean(axis=1).sum(), np.sqrt((value.var(axis=1) / each).sum())
+    for sampling in DISTANCE_SAMPLING:
+        scattering.sampling = sampling
+        mean, own = _mean(integrand, rays, 400)
+        assert abs(mean.sum() - brute) < 4 * np.hypot(error, own) + 2e-3 * brute
+
+
+def test_a_choice_among_many_lights_is_unbiased():
+    lights = [
+        PointLight(power=10 + 5 * i, position=(2 * np.cos(i), 2 * np.sin(i), -2 - 0.1 * i), radius=0.1 * (i % 2))
+        for i in range(12)
+    ]
+    scattering = fog(lights, [THIN], -1, [OCCLUDER, box((-3, -3, -5), (3, 3, 1))])
+    cell = np.zeros(1, np.int32)
+    choice = scattering.choice_of_cells(np.arange(12), cell, cell)
+    assert choice is not None and scattering.choice_of_cells(np.arange(8), cell, cell) is None
+    chosen, every = (ScatteredLight(scattering, np.arange(12), c) for c in (choice, None))
+    rays = rays_of(chosen, 48)
+    (a, error), (b, less) = _mean(chosen, rays, 800), _mean(every, rays, 100)
+    assert abs(a.sum() - b.sum()) < 4 * np.hypot(error, less)
+    assert every.counts["shadow rays"] > chosen.counts["shadow rays"]
+    bare = ScatteredAlongRay(scattering)
+    sized = ScatteredLight(scattering, scattering.sized)
+    c, more = _mean(sized, rays, 200)
+    assert abs(bare.along(rays, None)[0][0].sum() + c.sum() - b.sum()) < 4 * np.hypot(more, less) + 0.01 * b.sum()
+
+
+def test_light_that_casts_no_shadow_is_seen_through_everything():
+    free = PointLight(power=50, position=(1.2, 1.2, -1.5), casts_shadow=False)
+    with_ball, without = (fog([free], [THIN], 0, m, clip_end=1.9) for m in ([OCCLUDER], []))
+    values = [ScatteredAlongRay(s).along(rays_of(ScatteredAlongRay(s)), None)[0] for s in (with_ball, without)]
+    assert np.allclose(*values, rtol=1e-5)
+    for scattering in (with_ball, without):
+        integrand = ScatteredLight(scattering, scattering.sizeless)
+        _mean(integrand, rays_of(integrand), 4)
+        assert integrand.counts["shadow rays"] == 0
+
+
+def test_rays_that_meet_no_fog_cost_nothing():
+    scattering = fog([PointLight(power=1, position=LIGHT)], [THIN], -1, [box((0, 0, -3), (9, 9, -2))])
+    integrand = ScatteredAlongRay(scattering)
+    rays = integrand.first(pixels(), np.full((2, EDGE * EDGE, 1), 0.5))
+    assert len(rays) == len(rays.lane) == EDGE * EDGE // 4
+    away = fog([PointLight(power=1, position=LIGHT)], [THIN], -1, [box((0, 0, 2), (9, 9, 3))])
+    for integrand in (ScatteredAlongRay(away), ScatteredLight(away, away.sizeless)):
+        rays = integrand.first(pixels(), np.full((2, EDGE * EDGE, 1), 0.5))
+        assert len(rays) == 0
+        which, values = integrand.rest(rays, None, np.zeros((3, 0, 1)))
+        assert values.shape == (3, 0)
+
+
+def test_the_rule_puts_rays_back_where_they_belong():
+    scattering = fog([PointLight(power=1, position=LIGHT)], [THIN], -1, [box((0, -9, -3), (9, 9, -2))])
+    integrand = ScatteredAlongRay(scattering)
+    rays = integrand.first(pixels(), np.full((2, EDGE * EDGE, 1), 0.5))
+    dense = np.zeros((3, EDGE * EDGE))
+    dense[:, rays.lane] = integrand.along(rays, None)[0]
+
+    class Nodes:
+        pass
+
+    nodes = Nodes()
+    nodes.integrand, nodes.stage, nodes.points = integrand, rays, EDGE * EDGE
+    nodes.lanes = np.random.default_rng(0).permutation(EDGE * EDGE)[:300]
+    values, spread, evaluations = AlongRay(9).integrate(nodes)
+    assert values.shape == (3, 300) and spread.shape == (300,) and evaluations == 2700
+    assert np.allclose(values, dense[:, nodes.lanes], rtol=1e-6)
+
+
+# -- hazards -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sampling", DISTANCE_SAMPLING)
+@pytest.mark.parametrize(
+    "position",
+    [
+        (0, 0, 0), (0, 0, -2), (1e-12, 0, -2), (1e-7, 0, -2), (0, 0, 3), (0, 0, -4), (0, 0, -4 + 1e-9),
+        (0, 0, -9), (0, 0, -1e6), (0, 1e8, -2), (0, 0, -1e-9),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("sigma", [1e-9, 0.1, 1e4])
+def test_a_light_anywhere_is_finite(position, sigma, sampling):
+    """On the ray, at the camera, behind it, at the ray's end, beyond it, and far off."""
+    volume = Volume(scattering=sigma, anisotropy=0.7)
+    lights = [PointLight(power=1, position=position), spot_at(position, (0.1, 0, -2), power=1, angle=0.5)]
+    scattering = fog(lights, [volume], 0, sampling=sampling, clip_end=4.0)
+    whole = ScatteredAlongRay(scattering)
+    middle = Pixels(*np.full((2, 5), EDGE // 2, np.int32), np.zeros(5, np.int32))
+    u = np.array([[0, 0, 1e-6, 0.5, 1], [0, 0, 0, 0.3, 1]])[:, :, None]
+    rays = whole.first(middle, u)
+    rule, spread = whole.along(rays, None)
+    assert np.isfinite(rule).all() and np.isfinite(spread).all() and (rule >= 0).all()
+    ends = np.array([0, 0.5, 1])
+    square = np.broadcast_to(np.stack(np.meshgrid(ends, ends)).reshape(2, 1, 9), (2, 5, 9))
+    assert np.isfinite(whole.rest(rays, None, square)[1]).all()
+    single = ScatteredLight(scattering, scattering.sizeless)
+    u = np.random.default_rng(0).choice([0, 1e-9, 0.3, 1 - 1e-9, 1], (single.rest_dimensions, 5, 40))
+    assert np.isfinite(single.rest(rays, None, u)[1]).all()
+    assert whole.counts["non-finite samples"] == single.counts["non-finite samples"] == 0
+
+
+@pytest.mark.parametrize("depth", 10.0 ** np.arange(-9, 5))
+def test_single_points_hold_at_any_optical_depth(depth):
+    """The estimate by "auto" stays as near to the exact airlight as it is in thin fog."""
+    scattering = fog([PointLight(power=4 * np.pi, position=(0.5, 0.2, -0.02))], [Volume(scattering=depth)], 0, clip_end=1.0)
+    whole = ScatteredAlongRay(scattering)
+    rays = rays_of(whole, 16)
+    exact = whole.along(rays, None)[0][0]
+    mean, error = _mean(ScatteredLight(scattering, scattering.sizeless), rays, 500)
+    assert abs(mean.sum() - exact.sum()) < 4 * error + 1e-5 * exact.sum() + 1e-30
+
+
+def test_a_larger_scene_is_the_same_picture():
+    def picture(s):
+        scattering = fog(
+            [PointLight(power=50 * s * s, position=s * LIGHT)],
+            [Volume(scattering=0.2 / s)],
+            0,
+            [Mesh(OCCLUDER.vertices * np.float32(s), OCCLUDER.triangles)],
+            clip_end=5.0 * s,
+        )
+        integrand = ScatteredAlongRay(scattering)
+        rays = rays_of(integrand)
+        return integrand.along(rays, None)[0], ScatteredLight(scattering, scattering.sizeless).rest(
+            rays, None, np.random.default_rng(0).random((3, len(rays), 4))
+        )[1]
+
+    for s in (2.0**-10, 2.0**13):
+        for here, there in zip(picture(1.0), picture(s), strict=True):
+            assert np.allclose(here, there, rtol=1e-5)

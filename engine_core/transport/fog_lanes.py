@@ -125,6 +125,7 @@ class Segments:
     anisotropy: np.ndarray
     thinnest: np.ndarray
     densest: np.ndarray
+    through: np.ndarray | None
 
     @staticmethod
     def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> Segments:
@@ -149,6 +150,7 @@ class Segments:
             which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
             found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
             np.where(colours, wide, np.inf).min(axis=0), np.where(colours, wide, 0).max(axis=0),
+            None if rays.through is None else rays.through[:, segments],
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -198,6 +200,8 @@ class Lanes(ABC):
         for sigma, one in zip(scattering[1:], weighed[1:], strict=True):
             total += sigma * one
         total *= take(self._lights.strength, self.light)
+        if self._segments.through is not None:
+            total *= take(self._segments.through, self.segment)
         return total
 
     @property

@@ -25,6 +25,7 @@ from ..geometry.raytracer import FAR
 from ..geometry.surfaces import SHORTFALL, Surfaces
 from ..geometry.vectors import dot, inverse_length, take
 from ..settings import Settings
+from ..shading.terms import LARGEST
 from . import phase
 from .camera_hits import Pixels
 from .camera_rays import CameraRays
@@ -59,7 +60,9 @@ class FogRays:
     values : None, as nothing is known without another dimension. lane : (M,) ascending; None for all N.
     origin, direction : (3, M) float64, unit directions.
     media : K segments, whose ``ray`` counts the M rays. first : (M + 1,) where those of each ray begin.
+    through : (3, K) float32, what transparent surfaces before a segment leave of it; None for all.
     cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
+    crossings : rays that went on behind transparent surfaces.
     """
 
     origin: np.ndarray
@@ -67,7 +70,9 @@ class FogRays:
     media: RayMedia
     first: np.ndarray
     lane: np.ndarray | None = None
+    through: np.ndarray | None = None
     cell: np.ndarray | None = None
+    crossings: int = 0
     values: None = field(default=None, init=False)
 
     def __len__(self) -> int:
@@ -102,6 +107,7 @@ class SingleScattering:
     ) -> None:
         self.frame, self.media, self.lights, self.surfaces = frame, media, lights, surfaces
         self.rays, self.sampling = rays, settings.distance_sampling
+        self._shader, self._crossings = shader, settings.transparent_bounces
         self.shadows = Shadows(surfaces, shader, settings.transparent_bounces)
         self.screen_dimensions = rays.dimensions
         bare = np.zeros(len(lights), bool)
@@ -127,11 +133,19 @@ class SingleScattering:
         return rays
 
     def _in_fog(self, origins: np.ndarray, directions: np.ndarray) -> FogRays:
-        end = self.surfaces.distance(origins, directions, self.rays.reach)
-        media = self.media.along(origins, directions, end)
+        through, crossings = None, 0
+        if self._shader.transmits.any():
+            layers = self._layers(origins, directions)
+            media = self.media.along(origins, directions, layers.reach)
+            media, through = _in_layers(media, layers, self.media.extinction, directions)
+            crossings = sum(len(ray) for ray, *_ in layers.behind)
+        else:
+            end = self.surfaces.distance(origins, directions, self.rays.reach)
+            media = self.media.along(origins, directions, end)
         scatters = self.media.scattering.any(axis=(0, 1))
         if not scatters.all():
-            media = _taken(media, np.flatnonzero(scatters.take(media.mixture)))
+            rows = np.flatnonzero(scatters.take(media.mixture))
+            media, through = _taken(media, rows), None if through is None else take(through, rows)
         begins = np.append(True, media.ray[1:] != media.ray[:-1])[: len(media.ray)]
         lane = None
         first = np.append(np.flatnonzero(begins), len(media.ray))
@@ -143,7 +157,38 @@ class SingleScattering:
         direction = directions.T.astype(np.float64)
         direction /= np.sqrt((direction * direction).sum(axis=0))
         direction = np.broadcast_to(direction, (3, len(origins)))
-        return FogRays(origins.T.astype(np.float64), direction, media, first, lane)
+        return FogRays(
+            origins.T.astype(np.float64), direction, media, first, lane, through, crossings=crossings
+        )
+
+    def _layers(self, origins: np.ndarray, directions: np.ndarray) -> _Layers:
+        """What camera rays see one behind another, as long as surfaces let them through."""
+        n = len(origins)
+        layers = _Layers(np.full(n, self.rays.reach), np.full(n, self.rays.reach), [])
+        ray, start, here = np.arange(n), np.zeros(n), origins
+        passed = np.ones((3, n), np.float32)
+        for crossing in range(self._crossings + 1):
+            along = directions if len(directions) == 1 else directions.take(ray, axis=0)
+            points, distance = self.surfaces.first_hit(here, along, (self.rays.reach - start).astype(np.float32))
+            hit = np.arange(len(ray)) if points.lane is None else points.lane
+            end = np.full(len(ray), self.rays.reach)
+            end[hit] = start.take(hit) + distance
+            if crossing:
+                layers.behind.append((ray, start, end, passed))
+            else:
+                layers.first[:] = end
+            layers.reach[ray] = end
+            viewer = np.broadcast_to(-(along if len(along) == 1 else along.take(hit, axis=0)).T, (3, len(hit)))
+            passed = take(passed, hit)
+            for rows, terms in self._shader.terms(points, viewer, False):
+                passed[:, slice(None) if rows is None else rows] *= terms.transparency
+            on = np.flatnonzero(passed.any(axis=0))
+            if on.size == 0 or crossing == self._crossings:
+                break
+            hit = hit.take(on)
+            ray, start, passed = ray.take(hit), end.take(hit), np.minimum(take(passed, on), LARGEST)
+            here = self.surfaces.beyond(points.take(on))
+        return layers
 
     @property
     def anisotropy(self) -> np.ndarray:
@@ -195,6 +240,48 @@ class SingleScattering:
         return self.media.extinction.min(axis=0)
 
 
+@dataclass(eq=False)
+class _Layers:
+    """How far N camera rays get: to the ``first`` surface (N,), and in the end (N,), in lengths of the direction.
+
+    behind : of each further layer the rays (R,), start and end (R,) there, and what reaches it (3, R).
+    """
+
+    first: np.ndarray
+    reach: np.ndarray
+    behind: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+
+
+def _in_layers(
+    media: RayMedia, layers: _Layers, extinction: np.ndarray, directions: np.ndarray
+) -> tuple[RayMedia, np.ndarray | None]:
+    """Segments that end at surfaces, and what is left (3, K) of light from them; None for all."""
+    if not layers.behind:
+        return media, None
+    unit = np.broadcast_to(np.sqrt((directions.astype(np.float64) ** 2).sum(axis=1)), len(layers.first))
+    found = [(None, np.zeros(len(unit)), layers.first, np.ones((3, len(unit)), np.float32)), *layers.behind]
+    parts, through = [], []
+    number = np.empty(len(unit), np.intp)
+    for ray, start, end, passed in found:
+        number[:] = -1
+        number[slice(None) if ray is None else ray] = np.arange(len(start))
+        row = number.take(media.ray)
+        start, end = ((x * (unit if ray is None else unit.take(ray))).take(row) for x in (start, end))
+        start, end = np.maximum(start, media.start), np.minimum(end, media.end)
+        rows = np.flatnonzero((row >= 0) & (end > start))
+        part = _taken(media, rows)
+        skipped = start.take(rows) - part.start
+        part.depth = (part.depth + take(extinction, part.mixture) * skipped).astype(np.float32)
+        part.start, part.end = start.take(rows), end.take(rows)
+        parts.append(part)
+        through.append(take(passed, row.take(rows)))
+    fields_ = ("ray", "start", "end", "inside", "mixture", "depth")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in fields_}
+    joined = replace(media, **joined)
+    order = np.lexsort((joined.start, joined.ray))
+    return _taken(joined, order), take(np.concatenate(through, axis=1), order)
+
+
 def _taken(media: RayMedia, rows: np.ndarray) -> RayMedia:
     """Only segments ``rows``."""
     parts = {name: getattr(media, name).take(rows) for name in ("ray", "start", "end", "inside", "mixture")}
@@ -233,6 +320,7 @@ class Scattered:
         self._check()
         rays = self._scattering.first(pixels, _inset(u))
         self._count(CAMERA, u[0].size)
+        self._count(CROSSING, rays.crossings)
         return rays
 
     def _count(self, kind: str, number: int) -> None:
@@ -461,6 +549,8 @@ class ScatteredLight(Scattered):
                 scattered += take(sigma, mixture) * (phase.value(less, more, g) if g else phase.ISOTROPIC)
         scattered *= passed
         scattered *= lights.strength_in_space(number, position, to_light, w)
+        if rays.through is not None:
+            scattered *= take(rays.through, row)
         arrive, part = self._passing(position, to_light, at_infinity, is_mesh, light)
         scattered = take(scattered, arrive)
         if part is not None:

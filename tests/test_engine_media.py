@@ -8,9 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import box, floor, sphere
+from scenes import box, floor, sphere, studio
 
-from engine_core import Camera, Material, Mesh, PointLight, RenderError, Scene, SunLight, Volume, World
+from engine_core import (
+    Camera,
+    Material,
+    Mesh,
+    PointLight,
+    RenderError,
+    Scene,
+    Settings,
+    SunLight,
+    Volume,
+    World,
+    render,
+)
 from engine_core.geometry import boundaries
 from engine_core.geometry.frame import Frame
 from engine_core.shading.closures import Diffuse, Glossy, Holdout, Mix, Transparent
@@ -508,3 +520,31 @@ def test_glow_passes_through_layers_and_stops_at_what_is_opaque() -> None:
     )
     np.testing.assert_allclose(lit(sheet(1.25, 1), sheet(1.5, 2)), (1 + tint) / 4 * clear, rtol=4e-3)
     assert not lit(sheet(0.5, 2)).any()
+
+
+def test_an_orthographic_camera_sees_fog_from_its_near_plane_on() -> None:
+    matrix = np.eye(4)
+    matrix[:3, 3] = (0, 0, 5)
+    camera = Camera(matrix, (-1, 1, -1, 1), 1, 1, projection="orthographic", clip_start=0.5)
+    scene = replace(
+        looking_down(floor(), LAYER, lights=(LAMP,), volumes=FOG), camera=camera, world=World(volume=1)
+    )
+    expected = np.exp(-SIGMA * (1 + np.sqrt(5) / 2) - 0.1 * (4.5 + np.sqrt(5)))
+    np.testing.assert_allclose(looked_at(scene)[1], 0.8 * IRRADIANCE * expected, rtol=1e-5)
+
+
+def test_a_picture_lit_by_fog_alone() -> None:
+    """By control variates and by samples alone: nothing but what glows lights this scene."""
+    layer = box((-4, -4, 1), (4, 4, 2), volume=0, surface=False)
+    scene = replace(studio(24, 16), volumes=(Volume((0, 0, 0), 0.2, emission=(1, 0.5, 0.1)),))
+    scene = replace(scene, meshes=(*scene.meshes, layer))
+    means = [
+        render(scene, Settings(samples=samples, integrator=integrator, threads=1))
+        .combined[..., :3]
+        .mean(axis=(0, 1))
+        for integrator, samples in (("control_variates", 32), ("sobol", 64))
+    ]
+    dark = replace(scene, materials=2 * (Material(0.0),))
+    seen = render(dark, Settings(samples=16, threads=1)).combined[..., :3].mean(axis=(0, 1))
+    assert (means[0] > 1.05 * seen).all()
+    np.testing.assert_allclose(means[0], means[1], rtol=5e-3)

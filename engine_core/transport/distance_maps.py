@@ -25,7 +25,10 @@ _NEAREST = 1e-7
 
 
 class DistanceMap(Protocol):
-    """N segments, each with a map of the unit interval onto it."""
+    """N segments, each with a map of the unit interval onto it.
+
+    Their parameters may be (N, 1), and what is (N,) below (N, S) then.
+    """
 
     def sample(self, u: np.ndarray) -> np.ndarray:
         """(N,) distances at u (N,) in [0, 1]."""
@@ -75,12 +78,12 @@ class EquiAngular:
         return np.clip(t, 0, self._length)
 
     def steps(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places (count + 1, N) float32, about right, at even steps of u: from the foot, and from the start."""
+        """Places (count + 1, N) or (count + 1, N, 1) float32, about right, at even steps of u: from the foot, and from the start."""
         root = np.sqrt(self._square)
         cos, sin = (x.astype(np.float32) for x in (self.distance / root, -self._foot / root))
         step = (self._angle / count).astype(np.float32)
         step_cos, step_sin = np.cos(step), np.sin(step)
-        slope = np.empty((count + 1, len(step)), np.float32)
+        slope = np.empty((count + 1, *step.shape), np.float32)
         for row in slope:
             np.divide(sin, np.maximum(cos, np.float32(1e-30)), out=row)
             cos, sin = cos * step_cos - sin * step_sin, sin * step_cos + cos * step_sin
@@ -144,7 +147,7 @@ class Tabulated:
     """
 
     def __init__(self, inner: EquiAngular, factor: np.ndarray) -> None:
-        """factor : (K, N) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0, the largest about 1."""
+        """factor : (K, N) or (K, N, 1) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0, the largest about 1."""
         self._inner = inner
         steps = len(factor) - 1
         # Where a factor vanishes, a little remains, since it is only known at the steps.
@@ -157,13 +160,12 @@ class Tabulated:
         return self._inner.sample(self._place(u))
 
     def _place(self, u: np.ndarray) -> np.ndarray:
-        steps, n = self._upper.shape
-        step = np.zeros(n, np.intp)
+        steps = len(self._upper)
+        step = np.zeros(u.shape, np.intp)
         for bound in self._upper[:-1]:
             step += u >= bound
-        lane = np.arange(n)
-        low = np.where(step > 0, self._upper[step - 1, lane], 0)
-        a, b = self._factor[step, lane], self._factor[step + 1, lane]
+        low = np.where(step > 0, _row(self._upper, step - 1), 0)
+        a, b = _row(self._factor, step), _row(self._factor, step + 1)
         # Of the trapezoid from a to b, of area (a + b) / 2, the part below u; stable for a = b, too.
         wanted = np.maximum(u - low, 0) * steps
         root = np.sqrt(np.maximum(a * a + 2 * (b - a) * wanted, 0))
@@ -171,9 +173,14 @@ class Tabulated:
         return (step + part) / steps
 
     def pdf(self, t: np.ndarray) -> np.ndarray:
-        steps, n = self._upper.shape
+        steps = len(self._upper)
         place = np.clip(self._inner.cdf(t) * steps, 0, steps)
         step = np.minimum(place.astype(np.intp), steps - 1)
-        lane = np.arange(n)
-        a, b = self._factor[step, lane], self._factor[step + 1, lane]
+        a, b = _row(self._factor, step), _row(self._factor, step + 1)
         return self._inner.pdf(t) * (a + (b - a) * (place - step))
+
+
+def _row(table: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Of each column of a table (K, N) or (K, N, 1) rows (N,) or (N, S)."""
+    columns = np.arange(table.shape[1]).reshape(-1, *(1,) * (row.ndim - 1))
+    return table.reshape(-1).take(row * table.shape[1] + columns)

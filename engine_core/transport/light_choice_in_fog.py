@@ -75,6 +75,8 @@ class AirLights:
     """Lights as segments see them, in the place of `Lights` for what chooses among these.
 
     only : (L,) ascending numbers of the lights that are meant.
+    coned : (L,) bool, whether all that a light shines on is in a cone of at most a half space, which has its
+    apex (3, L) behind the light, an axis (3, L), and cos (L,) of half its angle; float32.
     """
 
     def __init__(self, lights: Lights, only: np.ndarray | None = None) -> None:
@@ -89,7 +91,7 @@ class AirLights:
                 flat[start:stop], self._flat_group, self._first_flat = True, group, start
         self._far_off = np.isinf(lights.reach.take(self.only))
         cos = cos.take(self.only)
-        self._coned, self._flat = cos >= 0, flat.take(self.only)
+        self.coned, self._flat = cos >= 0, flat.take(self.only)
         reach = np.where(self._far_off, 0, lights.reach.take(self.only))
         centre, axis = take(lights.centre, self.only), take(axis, self.only)
         # The cone that holds all points' cones begins behind the light: about its sphere, or its rim if flat.
@@ -97,7 +99,7 @@ class AirLights:
         sin = np.maximum(np.sqrt(1 - cos * cos), 1e-3)
         apex = centre - reach * np.where(self._flat, cos, 1) / sin * axis
         most = 0.3 * _FAR
-        self._centre, self._apex, self._axis, self._cos, self._reach = (
+        self._centre, self.apex, self.axis, self.cos, self._reach = (
             np.clip(x, -most, most).astype(np.float32) for x in (centre, apex, axis, cos, reach)
         )
         self._brightness = np.minimum(brightness.take(self.only), _LARGEST).astype(np.float32)
@@ -140,7 +142,7 @@ class AirLights:
         # A light of some size has no more to give the nearer it is.
         square += np.maximum(reach * reach, np.float32(1e-36))
         low, high = np.broadcast_to(start, foot.shape), np.broadcast_to(end, foot.shape)
-        coned = np.flatnonzero(self._coned.take(which))
+        coned = np.flatnonzero(self.coned.take(which))
         if coned.size:
             low, high = low.copy(), high.copy()
             first, last = self._lit(which.take(coned), origin, direction)
@@ -182,8 +184,8 @@ class AirLights:
         self, which: np.ndarray, origin: np.ndarray, direction: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(L', M) from where to where rays are within lights' cones; the first is the larger if never."""
-        vector, foot, square = self._seen(self._apex, which, origin, direction)
-        axis, cos = take(self._axis, which)[:, :, None], self._cos.take(which)[:, None]
+        vector, foot, square = self._seen(self.apex, which, origin, direction)
+        axis, cos = take(self.axis, which)[:, :, None], self.cos.take(which)[:, None]
         slope = dot(axis, direction[:, None, :])
         # At the foot, along the axis.
         height = foot * slope - dot(axis, vector)
@@ -202,7 +204,7 @@ class AirLights:
     def _falloff(self, which: np.ndarray, vector: np.ndarray) -> np.ndarray:
         """(L', M) of flat lights towards points at ``vector`` (3, L', M) from them; never quite dark."""
         number = (self.only.take(which) - self._first_flat)[:, None]
-        cosine = dot(take(self._axis, which)[:, :, None], vector)
+        cosine = dot(take(self.axis, which)[:, :, None], vector)
         inverse = 1 / np.sqrt(np.maximum(dot(vector, vector), np.float32(1e-30)))
         cosine *= inverse
         size = np.minimum(self._reach.take(which)[:, None] * inverse, 1)

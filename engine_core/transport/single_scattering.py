@@ -117,6 +117,7 @@ class SingleScattering:
         # Whole rays know but light and dark: where shadows are coloured, points are sampled.
         bare &= not surfaces.any_transparent
         self.sizeless, self.sized = np.flatnonzero(bare), np.flatnonzero(~bare)
+        self.cones = AirLights(lights)
         # Of each light's middle, inside which fogs it is.
         self.light_state = np.zeros(len(lights), np.uint64)
         if media.bodies and len(lights):
@@ -290,13 +291,45 @@ def _taken(media: RayMedia, rows: np.ndarray) -> RayMedia:
 
 @dataclass(eq=False)
 class _Places:
-    """P segments, of rays' own rows, and what is left of the dimension that chose them: row (P,), u (P,)."""
+    """P segments ``row`` (P,), chosen with ``chance`` (P,), and what that has left of their dimension, u (P, S)."""
 
     row: np.ndarray
     u: np.ndarray
+    chance: np.ndarray
 
     def take(self, rows: np.ndarray) -> _Places:
-        return _Places(self.row.take(rows), self.u.take(rows))
+        return _Places(self.row.take(rows), self.u.take(rows, axis=0), self.chance.take(rows))
+
+
+def _run(lane: np.ndarray) -> int:
+    """How many times in a row every entry of (N,) comes, as long as all do so alike; else 1."""
+    changes = np.flatnonzero(lane[1:] != lane[:-1])
+    split = int(changes[0]) + 1 if changes.size else max(len(lane), 1)
+    if split == 1 or len(lane) % split or (lane.reshape(-1, split) != lane[::split, None]).any():
+        return 1
+    return split
+
+
+def _in_cone(
+    apex: np.ndarray, axis: np.ndarray, cos: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """From where to where (P,) rays (3, P) are in cones of at most a half space; the first is larger if never."""
+    vector = apex - origin
+    foot = dot(vector, direction)
+    slope = dot(axis, direction)
+    # At the foot, along the axis.
+    height = foot * slope - dot(axis, vector)
+    beside = vector - foot * direction
+    a = slope * slope - cos * cos
+    a = np.copysign(np.maximum(np.abs(a), 1e-15), a)
+    radicand = height * height + dot(beside, beside) * a
+    root = cos * np.sqrt(np.maximum(radicand, 0))
+    one, other = (-height * slope - root) / a, (-height * slope + root) / a
+    wide = a > 0
+    first = np.where(wide, np.where(slope > 0, other, -1e30), np.minimum(one, other))
+    last = np.where(wide, np.where(slope > 0, 1e30, one), np.maximum(one, other))
+    never = ~wide & ((radicand < 0) | (height <= 0))
+    return np.where(never, 1e30, foot + first), np.where(never, -1e30, foot + last)
 
 
 class Scattered:
@@ -356,45 +389,38 @@ class ScatteredLight(Scattered):
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()
-        split = u.shape[2] if lane is None else 1
-        u = _inset(u).reshape(len(u), -1)
-        if lane is None:
-            lane = np.repeat(np.arange(len(rays)), split)
-        which, values = self._scattered(rays, lane, u)
+        split, u = (u.shape[2] if lane is None else _run(lane)), _inset(u).reshape(len(u), -1)
+        ray = np.arange(len(rays)) if lane is None else lane[::split]
+        if u.shape[1] == 0 or len(self._lights) == 0:
+            return np.zeros(0, np.intp), np.zeros((3, 0), np.float32)
+        if len(rays.media.ray) > len(rays) or self._choice is not None:
+            # Each point has a segment, or a light, of its own.
+            ray, split = np.repeat(ray, split), 1
+        which, values = self._scattered(rays, ray, u, split)
         return which, self._bounded(values)
 
-    def _scattered(self, rays: FogRays, ray: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which (J,) of rays ``ray`` (N,) get radiance (3, J) at u (D, N)."""
-        scattering, n = self._scattering, len(ray)
-        if n == 0 or len(self._lights) == 0:
-            return np.zeros(0, np.intp), np.zeros((3, 0))
+    def _scattered(
+        self, rays: FogRays, ray: np.ndarray, u: np.ndarray, split: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which (J,) of the N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
         if self._choice is None:
-            which = np.tile(np.arange(n), len(self._lights))
-            light = np.repeat(self._lights, n)
-            place, chance = self._segment(rays, ray.take(which), light, u[0].take(which))
+            row = np.tile(np.arange(len(ray)), len(self._lights))
+            light = np.repeat(self._lights, len(ray))
+            which = np.tile(np.arange(u.shape[1]), len(self._lights))
             w = u[-1].take(which)
+            place = self._segment(rays, ray.take(row), light, u[0].reshape(-1, split).take(row, axis=0))
+            ray = ray.take(row)
         else:
-            place, chance = self._segment(rays, ray, None, u[0])
-            found = rays.media
-            row = place.row
-            thinnest = scattering.thinnest
-            where = segments(
-                take(rays.origin, ray),
-                take(rays.direction, ray),
-                found.start.take(row),
-                found.end.take(row),
-                thinnest.take(found.mixture.take(row)),
-                thinnest[0],
-            )
-            cell = None if rays.cell is None else rays.cell.take(ray)
-            light, of_light, w = self._choice.choose(where, cell, u[3][:, None])
-            chance = chance * of_light
+            place = self._segment(rays, ray, None, u[0][:, None])
+            light, of_light, w = self._choice.choose(self._where(rays, ray, place.row), self._cells(rays, ray), u[3][:, None])
+            place.chance *= of_light
             which = np.argsort(light, kind="stable")
-            place, light, chance, w = place.take(which), light.take(which), chance.take(which), w.take(which)
-        ray = ray.take(which)
+            ray, light, w, place = ray.take(which), light.take(which), w.take(which), place.take(which)
         parts = []
         for t, density in self._distances(rays, ray, light, place):
-            parts.append(self._arriving(rays, ray, light, place, t, density * chance, take(u[1:3], which), w))
+            density *= place.chance[:, None]
+            each = (np.repeat(x, split) for x in (ray, light, place.row))
+            parts.append(self._arriving(rays, *each, t.reshape(-1), density.reshape(-1), take(u[1:3], which), w))
         if len(parts) == 1:
             rows, values = parts[0]
             return which.take(rows), values
@@ -403,13 +429,23 @@ class ScatteredLight(Scattered):
             np.concatenate([values for _, values in parts], axis=1),
         )
 
+    def _where(self, rays: FogRays, ray: np.ndarray, row: np.ndarray):
+        """Segments ``row`` (N,) as the choice among lights takes them."""
+        thinnest, media = self._scattering.thinnest, rays.media
+        ends = media.start.take(row), media.end.take(row), thinnest.take(media.mixture.take(row))
+        return segments(take(rays.origin, ray), take(rays.direction, ray), *ends, thinnest[0])
+
+    @staticmethod
+    def _cells(rays: FogRays, ray: np.ndarray) -> np.ndarray | None:
+        return None if rays.cell is None else rays.cell.take(ray)
+
     def _segment(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray
-    ) -> tuple[_Places, np.ndarray]:
-        """A segment of each ray (P,), for lights (P,) or whichever, and the probabilities (P,) of these."""
+    ) -> _Places:
+        """A segment of each ray (P,), for lights (P,) or whichever, by u (P, S); (P, 1) if there are several."""
         row = rays.first.take(ray)
         if len(rays.media.ray) == len(rays):
-            return _Places(row, u.astype(np.float64)), np.ones(len(ray))
+            return _Places(row, u.astype(np.float64), np.ones(len(ray)))
         rows, pair = rays.segments(ray)
         media, scattering = rays.media, self._scattering
         mixture = media.mixture.take(rows)
@@ -430,11 +466,11 @@ class ScatteredLight(Scattered):
         start = np.cumsum(number) - number
         base = (upper - weight).take(start)
         upper = np.minimum(pair + (upper - base.take(pair)), pair + 1)
-        chosen = np.searchsorted(upper, np.arange(len(ray)) + u.astype(np.float64), side="right")
+        chosen = np.searchsorted(upper, np.arange(len(ray)) + u[:, 0].astype(np.float64), side="right")
         chosen = np.clip(chosen, start, start + number - 1)
         chance = weight.take(chosen)
-        left = u - (upper.take(chosen) - np.arange(len(ray)) - chance)
-        return _Places(rows.take(chosen), np.clip(left / chance, 0, 1)), chance
+        left = u[:, 0] - (upper.take(chosen) - np.arange(len(ray)) - chance)
+        return _Places(rows.take(chosen), np.clip(left / chance, 0, 1)[:, None], chance)
 
     def _around(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray, row: np.ndarray
@@ -454,27 +490,31 @@ class ScatteredLight(Scattered):
     def _distances(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray, place: _Places
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Distances (P,) in segments, and densities (P,), of each technique that is summed."""
+        """Distances (P, S) in segments, and densities (P, S), of each technique that is summed."""
         scattering, media = self._scattering, rays.media
         mixture = media.mixture.take(place.row)
-        sigma = scattering.thinnest.take(mixture)
-        length = within_depth(sigma, (media.end - media.start).take(place.row))
+        sigma = scattering.thinnest.take(mixture)[:, None]
+        length = (media.end - media.start).take(place.row)
         sampling = scattering.sampling
+        if sampling == "free_path_untruncated":
+            path = UntruncatedPath(sigma, length[:, None])
+            t = path.sample(place.u)
+            return [(t, path.pdf(t))]
+        low, high = self._lit(rays, ray, light, media.start.take(place.row), length)
+        length = within_depth(sigma, (high - low)[:, None])
 
         def one(*maps: DistanceMap):
-            samples = [(m, m.sample(place.u)) for m in maps]
+            samples = [m.sample(place.u) for m in maps]
             # The balance heuristic divides by the sum of all densities (thesis eq. 6.7, 6.8).
-            return [(t, sum(other.pdf(t) for other in maps)) for m, t in samples]
+            return [(t + low[:, None], sum(m.pdf(t) for m in maps)) for t in samples]
 
         path = FreePath(sigma, length)
-        if sampling == "free_path_untruncated":
-            return one(UntruncatedPath(sigma, length))
         if sampling == "free_path":
             return one(path)
         foot, distance, finite = self._around(rays, ray, light, place.row)
         if not finite.any():
             return one(path)
-        about = EquiAngular(foot, distance, length)
+        about = EquiAngular((foot - low)[:, None], distance[:, None], length)
         if sampling == "mis":
             found = one(about, path)
         elif sampling == "equiangular":
@@ -484,15 +524,40 @@ class ScatteredLight(Scattered):
         if finite.all():
             return found
         # Of what is infinitely far, free paths alone; a second technique finds nothing more there.
-        (t, density), = one(path)
+        ((t, density),) = one(path)
+        finite = finite[:, None]
         for i, (near, near_density) in enumerate(found):
-            found[i] = np.where(finite, near, t), np.where(finite, near_density, density if i == 0 else np.inf)
+            found[i] = np.where(finite, near, t), np.where(finite, near_density, np.inf if i else density)
         return found
+
+    def _lit(
+        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, start: np.ndarray, length: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """From where to where (P,) segments are in the cones of spots and area lights, from their start on."""
+        cones = self._scattering.cones
+        low, high = np.zeros(len(ray)), length
+        rows = np.flatnonzero(cones.coned.take(light))
+        if rows.size == 0:
+            return low, high
+        light, ray = light.take(rows), ray.take(rows)
+        first, last = _in_cone(
+            *(take(x, light).astype(np.float64) for x in (cones.apex, cones.axis, cones.cos)),
+            take(rays.origin, ray),
+            take(rays.direction, ray),
+        )
+        margin = 1e-6 * (np.abs(first) + np.abs(last))
+        first, last = (
+            np.clip(x - start.take(rows), 0, length.take(rows)) for x in (first - margin, last + margin)
+        )
+        some = np.flatnonzero(last > first)
+        high = high.copy()
+        low[rows[some]], high[rows[some]] = first[some], last[some]
+        return low, high
 
     def _falling_off(
         self, about: EquiAngular, row: np.ndarray, media: RayMedia, light: np.ndarray
     ) -> np.ndarray:
-        """(steps + 1, P) extinction and phase function at even steps of the angle, the largest about 1."""
+        """(steps + 1, P, 1) extinction and phase function at even steps of the angle, the largest about 1."""
         scattering = self._scattering
         x, t = about.steps(_STEPS)
         r = np.sqrt(about.distance.astype(np.float32) ** 2 + x * x)
@@ -500,10 +565,10 @@ class ScatteredLight(Scattered):
         sigma = scattering.thinnest.astype(np.float32).take(mixture)
         same = scattering.light_state.take(light) == media.inside.take(row)
         leg = np.where(same, sigma, np.float32(scattering.thinnest[0]))
-        depth = sigma * t + leg * r
+        depth = sigma[:, None] * t + leg[:, None] * r
         depth -= depth.min(axis=0)
         factor = np.exp(-depth)
-        g = scattering.anisotropy.take(mixture)
+        g = scattering.anisotropy.astype(np.float32).take(mixture)[:, None]
         if g.any():
             cosine = -x / r
             factor *= phase.value((1 - cosine) / 2, (1 + cosine) / 2, g)
@@ -515,7 +580,7 @@ class ScatteredLight(Scattered):
         rays: FogRays,
         ray: np.ndarray,
         light: np.ndarray,
-        place: _Places,
+        row: np.ndarray,
         t: np.ndarray,
         density: np.ndarray,
         u: np.ndarray,
@@ -523,7 +588,7 @@ class ScatteredLight(Scattered):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Which (J,) of P samples at distances t (P,) in segments get radiance (3, J)."""
         scattering, media, fog = self._scattering, rays.media, self._scattering.media
-        lights, row = scattering.lights, place.row
+        lights = scattering.lights
         length = (media.end - media.start).take(row)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             chance = 1 / density

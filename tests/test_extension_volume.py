@@ -387,6 +387,20 @@ def test_nodes_that_nobody_knows_have_the_volume_left_out(cv: ModuleType, scene:
     ]
 
 
+def test_colours_that_nobody_knows_are_no_shaders(cv: ModuleType, scene: Any) -> None:
+    """In either socket a colour would glow."""
+    material = fog("ShaderNodeTexNoise")
+    feed(material, material.node_tree.nodes["Noise Texture"], "Surface")
+    add_cube(scene, 1, material)
+    exported, messages = export(cv)
+    assert not exported.volumes and len(exported.meshes) == 1
+    assert messages == [
+        'Material "Fog": node "Noise Texture" (Noise Texture) is not supported yet, it is rendered black',
+        'Object "Cube": volume of material "Fog": node "Noise Texture" (Noise Texture) '
+        "is not supported yet and is left out",
+    ]
+
+
 def test_what_varies_in_the_world_is_left_out(cv: ModuleType, scene: Any) -> None:
     scatter = node(scene.world, SCATTER, Density=0.5)
     link(scene.world, node(scene.world, "ShaderNodeTexChecker"), scatter, 0, "Color")

@@ -137,10 +137,10 @@ class Graph:
 
     def unsupported(self, socket: Socket, source: Socket) -> Value | np.ndarray:
         """What an input is taken for if nobody knows what its ``source`` computes."""
-        self.tell(
-            f"{described(source)} is not supported yet, "
-            f'"{socket.socket.name}" of "{socket.node.name}" keeps its plain value'
-        )
+        instead = f'"{socket.socket.name}" of "{socket.node.name}" keeps its plain value'
+        if socket.socket.type == "SHADER":
+            instead = "it is rendered black"
+        self.tell(f"{described(source)} is not supported yet, {instead}")
         return plain_value(socket.socket)
 
     def _output(self, source: Socket) -> Value | np.ndarray:
@@ -233,8 +233,8 @@ def described(socket: Socket) -> str:
 
 
 def plain_value(socket: Any) -> np.ndarray:
-    """() or (3, 1) float32, what an unlinked socket says."""
-    value = np.array(socket.default_value, np.float32)
+    """() or (3, 1) float32, what an unlinked socket says; a shader's says nothing, which is black."""
+    value = np.array(getattr(socket, "default_value", (0, 0, 0)), np.float32)
     return value[:3, None] if value.ndim else value
 
 

@@ -234,7 +234,10 @@ def _terms(nodes: _Nodes, socket: Socket, weight: Any) -> Terms:
         return Terms()
     if graph.unknown:
         what = " and ".join(dict.fromkeys(graph.unknown))
-        nodes.problems.append(f"{what}, not supported yet, feeds {described(source)}, which is left out")
+        if what == described(source):
+            nodes.problems.append(f"{what} is not supported yet and is left out")
+        else:
+            nodes.problems.append(f"{what}, not supported yet, feeds {described(source)}, which is left out")
         return Terms()
     return Terms(
         [(compute(np.multiply, weight, sigma), g) for sigma, g in found.scattering],

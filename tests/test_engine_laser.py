@@ -20,7 +20,8 @@ from engine_core.integration.rules import gauss
 from engine_core.shading.closures import Diffuse, Transparent
 from engine_core.transport.camera_hits import CameraStage, Pixels
 from engine_core.transport.camera_rays import CameraRays
-from engine_core.transport.laser_in_fog import LaserInFog, LitParts
+from engine_core.transport.laser_in_fog import LaserInFog
+from engine_core.transport.laser_lit_parts import LitParts
 from engine_core.transport.laser_maps import (
     along_beam,
     along_ray,

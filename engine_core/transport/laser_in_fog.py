@@ -18,17 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.vectors import take
-from ..integration.inner_rules import InnerRule, Nodes
-from ..integration.rules import gauss
 from .direct_light import CROSSING, SHADOW
 from .laser_maps import (
     Passage,
     along_beam,
     along_ray,
     along_ray_as_in_thesis,
-    at_half_angle,
-    foot_and_gap,
-    half_angles,
     passages,
 )
 from .lasers import DEEPEST, Lasers, Stretch, halves, scattered
@@ -37,9 +32,6 @@ from .single_scattering import FogRays, Scattered, SingleScattering
 
 INSET = np.float32(1e-5)
 """Of a shadow ray, at either end: both may lie on a surface."""
-
-NEAR_END = 1e-3
-"""Part of a camera ray, at both ends, that is as visible as what is next to it: a surface is no shadow."""
 
 MAPS = {"point": along_ray, "thesis_2020": along_ray_as_in_thesis}
 
@@ -226,112 +218,3 @@ def between(
 def shortened(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Rays between two points, either of which may lie on a surface."""
     return origins + INSET * directions, directions, float(1 - 2 * INSET)
-
-
-@dataclass(frozen=True)
-class LitParts(InnerRule):
-    """Nodes of a control variate over the screen: Gauss-Legendre along the beam; along the camera ray what is
-    lit, with the edges of shadows bisected, of a polynomial through all that is smooth.
-
-    beam : points of the beam, ``smooth`` of each camera ray. visible : where it is asked for whether
-    these see each other. bisections : of each edge.
-    """
-
-    beam: int = 8
-    smooth: int = 8
-    visible: int = 9
-    bisections: int = 3
-
-    def cost(self, dimensions: int) -> int:
-        return self.beam * self.visible
-
-    def integrate(self, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, int]:
-        integrand, rays = nodes.integrand, nodes.stage
-        count, lane, which = len(nodes.lanes), nodes.lanes, None
-        if rays.lane is not None:
-            number = np.full(nodes.points, -1)
-            number[rays.lane] = np.arange(len(rays.lane))
-            lane = number.take(lane)
-            which = np.flatnonzero(lane >= 0)
-            lane = lane.take(which)
-        rows, of = rays.segments(lane)
-        segments = Segments.of(rays, integrand.media).take(rows)
-        of = of if which is None else which.take(of)
-        mean, square, cost = np.zeros((3, count)), np.zeros((3, count)), 0
-        for stretch in integrand.stretches:
-            first, second = self._of_stretch(integrand, segments, stretch)
-            cost += len(of) * self.cost(2)
-            for c in range(3):
-                mean[c] += np.bincount(of, first[c], count)
-                square[c] += np.bincount(of, second[c], count)
-        np.nan_to_num(mean, copy=False, posinf=0, neginf=0)
-        spread = np.sqrt(np.maximum(np.nan_to_num(square, posinf=0) - mean * mean, 0)).sum(axis=0)
-        return mean, spread, cost
-
-    def _of_stretch(
-        self, integrand: LaserInFog, segments: Segments, stretch: Stretch
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(3, K) integrals for each segment, and those of the integrand's square."""
-        n = len(segments.start)
-        u, weights = gauss(self.beam)
-        lanes = np.tile(np.arange(n), self.beam)
-        p = segments.passage(stretch).take(lanes)
-        segments = segments.take(lanes)
-        v, dv = along_beam(p, np.repeat(u, n))
-        foot, gap = foot_and_gap(p, v)
-        low, dw = half_angles(p.start - foot, p.end - foot, gap)
-        every = np.arange(len(v))
-
-        def rays_to(rows: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x, _, _ = at_half_angle(low.take(rows) + s * dw.take(rows), 0.0, gap.take(rows))
-            return between(segments, stretch, rows, v.take(rows), foot.take(rows) + x)
-
-        def lit(rows: np.ndarray, s: np.ndarray) -> np.ndarray:
-            arrive, _ = integrand.arrivals(*shortened(*rays_to(rows, s)))
-            seen = np.zeros(len(rows), bool)
-            seen[arrive] = True
-            return seen
-
-        at, inner = gauss(self.smooth)
-        values = []
-        for s in at:
-            x, r, weight = at_half_angle(low + s * dw, dw, gap)
-            g = segments.unshadowed(stretch, p, v, x, r)
-            g *= weight * dv
-            g *= np.exp(-integrand.depth_between(stretch, *rays_to(every, np.full(len(v), s))))
-            values.append(g)
-        values = np.stack(values)  # (Q, 3, n beam)
-        whole = np.einsum("q,qcl->cl", inner, values)
-        second = np.einsum("q,qcl->cl", inner, values * values)
-        if stretch.casts_shadow:
-            places = NEAR_END + (1 - 2 * NEAR_END) * np.linspace(0, 1, self.visible)
-            seen = lit(np.tile(every, self.visible), np.repeat(places, len(v))).reshape(self.visible, -1)
-            share = seen.mean(axis=0)
-            whole *= seen[-1]
-            cell, rows = np.nonzero(seen[1:] != seen[:-1])
-            if rows.size:
-                left, right = places[cell], places[cell + 1]
-                before = seen[cell, rows]
-                for _ in range(self.bisections):
-                    middle = (left + right) / 2
-                    same = lit(rows, middle) == before
-                    left, right = np.where(same, middle, left), np.where(same, right, middle)
-                part = np.einsum("qx,qcx->cx", antiderivative(self.smooth, (left + right) / 2), values[:, :, rows])
-                part *= np.where(before, 1, -1)
-                for c in range(3):
-                    whole[c] += np.bincount(rows, part[c], len(v))
-            second *= share
-        shape = (3, self.beam, n)
-        return (np.einsum("b,cbn->cn", weights, a.reshape(shape)) for a in (whole, second))
-
-
-def antiderivative(points: int, s: np.ndarray) -> np.ndarray:
-    """(points, X) weights of values at Gauss-Legendre points that integrate their polynomial from 0 to s (X,)."""
-    at, weights = gauss(points)
-    order = np.arange(points)
-    series = np.polynomial.legendre.legvander(2 * at - 1, points - 1) * weights[:, None] * (2 * order + 1)
-    high = np.polynomial.legendre.legvander(2 * s - 1, points)
-    integrals = np.empty((len(s), points))
-    integrals[:, 0] = s
-    integrals[:, 1:] = (high[:, 2:] - high[:, :-2]) / (2 * (2 * order[1:] + 1))
-    return series @ integrals.T

@@ -21,6 +21,8 @@ from ..method_figures import BLACK, GREY, PALE, Canvas, Colour
 
 CROP = 0.16
 """Width and height of a detail, as parts of the picture's width."""
+LETTER = 10
+"""Pixels that one takes at most."""
 SAMPLES = (4, 8, 16, 32, 64, 128, 256)
 """Of the curves."""
 
@@ -138,11 +140,12 @@ def side_by_side(
     edge = round(CROP * width)
     scale = max(1, width // (2 * edge + 4))
     gap, top = 8, 22
-    canvas = Canvas(len(pictures) * (width + gap) + gap, top + height + gap + edge * scale + gap)
-    for number, (label, picture) in enumerate(pictures.items()):
-        x, colours = gap + number * (width + gap), seen(picture)
-        error = f": {errors[label]:.4f}" if label in errors else ""
-        canvas.text(x, top / 2, label + error)
+    captions = [f"{label}: {errors[label]:.4f}" if label in errors else label for label in pictures]
+    pitch = gap + max(width, LETTER * max(map(len, captions)))
+    canvas = Canvas(len(pictures) * pitch + gap, top + height + gap + edge * scale + gap)
+    for number, (caption, picture) in enumerate(zip(captions, pictures.values(), strict=True)):
+        x, colours = gap + number * pitch, seen(picture)
+        canvas.text(x, top / 2, caption)
         canvas.image(x, top, colours, 1)
         for k, (left, upper) in enumerate(details):
             row, column = round(upper * height), round(left * width)

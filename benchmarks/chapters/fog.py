@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from engine_core.transport.single_scattering import ScatteredLight, SingleScatte
 
 from ..method_figures import Canvas
 from .common import (
+    LETTER,
     Details,
     Methods,
     Study,
@@ -46,6 +48,12 @@ LASERS: Mapping[str, Details] = {
 }
 DETAILS = {**FOG, **LASERS}
 
+WAYS = {
+    "monte carlo": {"method": "monte_carlo"},
+    "sobol": {"method": "sobol"},
+    "thesis 2020": {"preset": "thesis_2020"},
+}
+"""Of `integrate`, in which maps are compared: one point of each camera ray a sample."""
 MAPS = [name for name in DISTANCE_SAMPLING if name != "auto"]
 
 
@@ -107,8 +115,8 @@ def _scattering(scene: Scene, distance_sampling: str) -> tuple[DirectLight, Sing
 
 def _methods(space: type) -> Methods:
     return {
-        "plain monte carlo": (rendered(integrator="monte_carlo"), (150, 150, 150)),
-        "quadrature": (rendered(integrator="quadrature"), (60, 150, 70)),
+        "plain monte carlo": (integrated(space, method="monte_carlo"), (150, 150, 150)),
+        "quadrature": (integrated(space, method="quadrature"), (60, 150, 70)),
         # A sixteenth of the samples for the control variate, all others for the residual.
         "thesis 2020": (integrated(space, preset="thesis_2020"), (235, 140, 30)),
         "cv render, sobol": (rendered(integrator="sobol"), (30, 110, 200)),
@@ -127,11 +135,9 @@ def figure_6(study: Study) -> str:
     pictures, errors, rows = {}, {}, []
     for name in MAPS:
         cells = [study.name, name]
-        for label, method in (
-            ("monte carlo", rendered(integrator="monte_carlo", distance_sampling=name)),
-            ("sobol", rendered(integrator="sobol", distance_sampling=name)),
-            ("thesis 2020", integrated(lambda scene, m=name: FogOnScreen(scene, m), preset="thesis_2020")),
-        ):
+        space = partial(FogOnScreen, distance_sampling=name)
+        for label, how in WAYS.items():
+            method = integrated(space, **how)
             outcome = method(study.scene, study.samples // 4, 1)
             cells.append(f"{study.error(outcome):.4f} ({outcome.seconds:.2f} s)")
             if label == "monte carlo":
@@ -139,7 +145,7 @@ def figure_6(study: Study) -> str:
         rows.append(cells)
     pictures["reference"] = study.truth
     side_by_side(study.output / f"6_6_{study.name}.png", DETAILS[study.name], pictures, errors)
-    return table(("6.6, scene", "map", "monte carlo", "sobol", "thesis 2020"), rows)
+    return table(("6.6, scene", "map", *WAYS), rows)
 
 
 def figure_7(study: Study) -> str:
@@ -167,12 +173,13 @@ def error_maps(study: Study, label: str, path: str, methods: Methods) -> str:
     """Each method's absolute error in every pixel, relative to the picture's mean; a table of its spread."""
     height, width = study.truth.shape[:2]
     gap, top = 8, 22
-    canvas = Canvas(len(methods) * (width + gap) + gap, top + height + gap)
+    pitch = gap + max(width, LETTER * max(len(name) + 8 for name in methods))
+    canvas = Canvas(len(methods) * pitch + gap, top + height + gap)
     rows = []
     for number, (name, (method, _)) in enumerate(methods.items()):
         outcome = method(study.scene, study.samples, 3)
         error = np.abs(outcome.picture - study.truth).mean(axis=-1) / study.truth.mean()
-        x = gap + number * (width + gap)
+        x = gap + number * pitch
         canvas.text(x, top / 2, f"{name}: {study.error(outcome):.4f}")
         canvas.image(x, top, error_colours(error), 1)
         parts = (f"{np.quantile(error, part):.5f}" for part in (0.5, 0.9, 0.99, 1.0))

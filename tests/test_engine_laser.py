@@ -61,9 +61,7 @@ class Stage:
                 self.frame, self.media, lights, surfaces, shader, self.rays, Settings(threads=1)
             )
         self.hits = CameraStage(scene, self.frame, surfaces, shader, [], False, False, 8, self.media)
-        self.reflection = Reflection(
-            np.full((3, len(scene.materials)), reflectance), triangles.material
-        )
+        self.reflection = Reflection(np.full((3, len(scene.materials)), reflectance), triangles.material)
 
     def in_fog(self, map: str = "point") -> LaserInFog:
         return LaserInFog(self.lasers, self.scattering, map)
@@ -72,9 +70,7 @@ class Stage:
         return LaserOnSurfaces(self.lasers, self.hits, self.reflection, self.shadows, self.media)
 
     def seen(self) -> LasersSeen:
-        return LasersSeen(
-            self.lasers, self.rays, self.hits, self.reflection, self.shadows, self.scattering
-        )
+        return LasersSeen(self.lasers, self.rays, self.hits, self.reflection, self.shadows, self.scattering)
 
 
 def pixels(width: int = 1, height: int = 1) -> Pixels:
@@ -213,7 +209,10 @@ def test_parallel_and_crossing_lines_are_finite(angle, distance, name):
 def random_line(random: np.random.Generator) -> tuple[Camera, Laser, tuple]:
     camera = pinhole(random.normal(size=3) * 2, random.normal(size=3), clip_end=random.uniform(2, 20))
     laser = beam(
-        random.normal(size=3) * 3, random.normal(size=3), random.uniform(1, 5, 3), length=random.uniform(0.5, 8)
+        random.normal(size=3) * 3,
+        random.normal(size=3),
+        random.uniform(1, 5, 3),
+        length=random.uniform(0.5, 8),
     )
     return camera, laser, (random.uniform(0.01, 0.6, 3), random.uniform(0, 0.3, 3), random.uniform(-0.8, 0.8))
 
@@ -283,7 +282,9 @@ def test_fog_in_a_box_scatters_only_there():
 
     def twice_scattered(t: float, v: float) -> float:
         towards, r = line.between(t, v)
-        phases = henyey_greenstein(towards @ line.axis, 0.3) * henyey_greenstein(-towards @ line.direction, 0.3)
+        phases = henyey_greenstein(towards @ line.axis, 0.3) * henyey_greenstein(
+            -towards @ line.direction, 0.3
+        )
         return phases * np.exp(-0.7 * (t - t0 + v - v0 + r)) / r**2
 
     wanted = 2 * 0.25 * dblquad(twice_scattered, v0, v1, t0, t1, epsrel=1e-6)[0]
@@ -292,7 +293,11 @@ def test_fog_in_a_box_scatters_only_there():
 
 def behind_a_ball(**fields: Any) -> Stage:
     camera = Camera.look_at((0, -6, 3), (0, 0, 0.7), 12, 12)
-    meshes = (scenes.floor(6), scenes.sphere((-0.8, 0, 0.8), 0.8), scenes.box((0.5, -0.5, 0), (1.5, 0.5, 1.2)))
+    meshes = (
+        scenes.floor(6),
+        scenes.sphere((-0.8, 0, 0.8), 0.8),
+        scenes.box((0.5, -0.5, 0), (1.5, 0.5, 1.2)),
+    )
     laser = beam((-3, 1.5, 1.5), (3, 1.2, 1.2), (1, 2, 3), length=8)
     return Stage(Scene(camera, meshes, lights=(laser,), **everywhere(0.1, 0.02, 0.3)))
 
@@ -322,7 +327,8 @@ def test_samples_behind_an_occluder_are_unbiased(name):
 def test_bisected_shadows_beat_as_many_points_elsewhere():
     stage, where = behind_a_ball(), pixels(12, 12)
     reference, lit, plain = (
-        at_nodes(stage.in_fog(), rule, where)[0] for rule in (LitParts(32, 8, 33, 6), LitParts(), GaussTensor(8))
+        at_nodes(stage.in_fog(), rule, where)[0]
+        for rule in (LitParts(32, 8, 33, 6), LitParts(), GaussTensor(8))
     )
     assert abs(lit - reference).mean() < abs(plain - reference).mean()
     assert lit.mean() == pytest.approx(reference.mean(), rel=5e-3)
@@ -353,10 +359,17 @@ def test_light_on_surfaces_is_the_integral_along_the_beam(seed):
     def onto_floor(v: float) -> float:
         vector = line.start + v * line.axis - point
         r = np.linalg.norm(vector)
-        return henyey_greenstein(-vector @ line.axis / r, g) * np.exp(-sigma * (v + r)) / r**3 * max(vector[2], 0)
+        return (
+            henyey_greenstein(-vector @ line.axis / r, g)
+            * np.exp(-sigma * (v + r))
+            / r**3
+            * max(vector[2], 0)
+        )
 
     wanted = quad(onto_floor, 0, end, epsabs=1e-13, epsrel=1e-8, limit=300)[0] * 0.5 / np.pi
-    wanted *= np.exp(-sigma * np.linalg.norm(point - line.origin)) * laser.power[channel] * scattering[channel]
+    wanted *= (
+        np.exp(-sigma * np.linalg.norm(point - line.origin)) * laser.power[channel] * scattering[channel]
+    )
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
 
 
@@ -368,7 +381,9 @@ def test_the_beam_is_the_integral_along_its_chord(seed):
     random = np.random.default_rng(seed)
     scattering, absorption = random.uniform(0.1, 2, 3), random.uniform(0, 1, 3)
     g, channel = random.uniform(-0.8, 0.8), seed % 3
-    laser = beam(random.normal(size=3), random.normal(size=3), random.uniform(1, 5, 3), length=3.0, radius=0.4)
+    laser = beam(
+        random.normal(size=3), random.normal(size=3), random.uniform(1, 5, 3), length=3.0, radius=0.4
+    )
     axis, start = -laser.light_to_world[:3, 2], laser.light_to_world[:3, 3]
     target = start + random.uniform(0, 3) * axis + 0.2 * random.normal(size=3)
     # Across, towards the laser, along its light, and from within it.
@@ -392,7 +407,9 @@ def test_the_beam_is_the_integral_along_its_chord(seed):
 
 def from_above(width: int, size: float, **fields: Any) -> Camera:
     half = size / 2
-    return Camera(scenes.place((0, 0, 4)), (-half, half, -half, half), width, width, projection="orthographic")
+    return Camera(
+        scenes.place((0, 0, 4)), (-half, half, -half, half), width, width, projection="orthographic"
+    )
 
 
 @pytest.mark.parametrize("radius", [1e-4, 1e-2, 0.1, 0.5])
@@ -521,10 +538,15 @@ def test_beams_in_odd_places_are_finite(start, towards, length):
 def test_scale_changes_nothing():
     def picture(scale: float) -> list[np.ndarray]:
         camera = Camera.look_at(np.array((0, -6, 3)) * scale, np.array((0, 0, 0.7)) * scale, 6, 6)
-        camera = Camera(camera.camera_to_world, camera.viewplane, 6, 6, clip_start=0.1 * scale, clip_end=50 * scale)
+        camera = Camera(
+            camera.camera_to_world, camera.viewplane, 6, 6, clip_start=0.1 * scale, clip_end=50 * scale
+        )
         meshes = (scenes.floor(6 * scale), scenes.sphere((-0.8 * scale, 0, 0.8 * scale), 0.8 * scale))
         laser = beam(
-            np.array((-3, 1.5, 1.5)) * scale, np.array((3, 1.2, 1.2)) * scale, 2 * scale**2, radius=0.1 * scale
+            np.array((-3, 1.5, 1.5)) * scale,
+            np.array((3, 1.2, 1.2)) * scale,
+            2 * scale**2,
+            radius=0.1 * scale,
         )
         stage = Stage(Scene(camera, meshes, lights=(laser,), **everywhere(0.1 / scale, 0.02 / scale, 0.3)))
         where = pixels(6, 6)

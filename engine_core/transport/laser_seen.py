@@ -29,7 +29,7 @@ from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .laser_in_fog import Segments
 from .laser_on_surfaces import Reflection, Towards
-from .lasers import Beam, Lasers, Stretch, halves, scattered
+from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered
 from .shadows import Shadows
 from .single_scattering import FogRays, SingleScattering
 
@@ -255,6 +255,20 @@ def glow(segments: Segments, stretch: Stretch) -> np.ndarray:
     return out
 
 
+def beside_beams(
+    rays: CameraRays, stretches: Sequence[Stretch], region: tuple[int, int, int, int], distance: float = 2.0
+) -> np.ndarray:
+    """(W, H) bool, which pixels of a region x0, y0, x1, y1 have their middle beside the image of a beam: there
+    light that fog scatters twice is as bright as log(1/distance), which no polynomial follows.
+    """
+    x0, y0, x1, y1 = region
+    x, y = np.arange(x0, x1)[:, None] + 0.5, np.arange(y0, y1) + 0.5
+    near = np.zeros((x1 - x0, y1 - y0), bool)
+    for s in stretches:
+        near |= Outline(rays, s.start, s.direction, THINNEST, s.length).beside(x, y, distance)
+    return near
+
+
 class Outline:
     """Where in the picture a cylinder is: points of pixels that are spread over it alone."""
 
@@ -314,6 +328,16 @@ class Outline:
             ahead = np.full(3, radius)
         edges = np.stack([ahead - across, ahead + across])
         return np.stack([edges[:, 0], edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]], axis=1)
+
+    def beside(self, x: np.ndarray, y: np.ndarray, distance: float) -> np.ndarray:
+        """Whether places of the picture, in pixels, are within ``distance`` of the image of the axis."""
+        (left, right), (low, high) = self._box
+        near = (x >= left - distance) & (x <= right + distance)
+        near = near & (y >= low - distance) & (y <= high + distance)
+        if self._edges is not None:
+            c, along_x, along_y = (self._edges[0] - self._edges[1]) / 2
+            near &= np.abs(c + along_x * x + along_y * y) <= distance * np.hypot(along_x, along_y)
+        return near
 
     def touches(self, pixels: Pixels) -> np.ndarray:
         """Which of pixels may see the cylinder."""

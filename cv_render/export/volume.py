@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,7 @@ class Fog:
         region : None has what varies left out.
         """
         problems, terms = list(self.problems), self.terms
-        average = Average(region)
+        average = Average(region if self.varies else None)
         rows: dict[float, np.ndarray] = {}
         for coefficient, anisotropy in terms.scattering:
             sigma, g = average.of(coefficient, 3), average.of(anisotropy, 1)
@@ -174,26 +175,15 @@ def read_fog(datablock: Any, messages: Messages, images: dict[int, ImagePixels] 
     if not socket.source().socket.is_output:
         return None
     problems: list[str] = []
-    terms = _terms(_Nodes(named(datablock), messages, images, problems), socket, 1.0)
+    terms = _terms(partial(VolumeGraph, named(datablock), messages, images, problems), socket, 1.0)
     return Fog(datablock.name, terms, list(dict.fromkeys(problems)))
 
 
-@dataclass(frozen=True)
-class _Nodes:
-    """What walks the volume nodes of one data-block."""
-
-    owner: str
-    messages: Messages
-    images: dict[int, ImagePixels] | None
-    problems: list[str]
-
-    def graph(self) -> VolumeGraph:
-        """One of its own for each volume node: what is unknown to a node is found however it is shared."""
-        return VolumeGraph(self.owner, self.messages, self.images, self.problems)
-
-
 class VolumeGraph(Graph):
-    """The inputs of one volume node; whoever uses the volume tells their problems."""
+    """The inputs of one volume node, for which ``unknown`` names what nobody can compute.
+
+    problems : where they are told, for whoever uses the volume to pass on.
+    """
 
     def __init__(
         self,
@@ -214,30 +204,30 @@ class VolumeGraph(Graph):
         return plain_value(socket.socket)
 
 
-def _terms(nodes: _Nodes, socket: Socket, weight: Any) -> Terms:
+def _terms(new_graph: Callable[[], VolumeGraph], socket: Socket, weight: Any) -> Terms:
     """What a shader input is fed with, times ``weight``."""
     source = socket.source()
     if not source.socket.is_output:
         return Terms()
     kind = source.node.type
-    graph = nodes.graph()
+    graph = new_graph()
     node = Node(graph, source)
     if source.socket.type != "SHADER":
         # Cycles takes a colour for emission.
         found = Terms(emission=[graph.value(socket)])
     elif kind in ("ADD_SHADER", "MIX_SHADER"):
-        return _sum(nodes, node, weight)
+        return _sum(new_graph, node, weight)
     elif kind in VOLUMES:
         found = VOLUMES[kind](node)
     else:
-        nodes.problems.append(f"{described(source)} is no volume and is left out")
+        graph.tell(f"{described(source)} is no volume and is left out")
         return Terms()
     if graph.unknown:
         what = " and ".join(dict.fromkeys(graph.unknown))
         if what == described(source):
-            nodes.problems.append(f"{what} is not supported yet and is left out")
+            graph.tell(f"{what} is not supported yet and is left out")
         else:
-            nodes.problems.append(f"{what}, not supported yet, feeds {described(source)}, which is left out")
+            graph.tell(f"{what}, not supported yet, feeds {described(source)}, which is left out")
         return Terms()
     return Terms(
         [(compute(np.multiply, weight, sigma), g) for sigma, g in found.scattering],
@@ -246,22 +236,20 @@ def _terms(nodes: _Nodes, socket: Socket, weight: Any) -> Terms:
     )
 
 
-def _sum(nodes: _Nodes, node: Node, weight: Any) -> Terms:
+def _sum(new_graph: Callable[[], VolumeGraph], node: Node, weight: Any) -> Terms:
     *factors, first, second = node.socket.inputs()
     weights = [weight, weight]
     if factors:
         factor = compute(saturate, node.graph.value(factors[0]))
         if node.graph.unknown:
             what = " and ".join(dict.fromkeys(node.graph.unknown))
-            nodes.problems.append(
-                f"{what}, not supported yet, feeds {described(node.socket)}: halves are mixed"
-            )
+            node.graph.tell(f"{what}, not supported yet, feeds {described(node.socket)}: halves are mixed")
             factor = 0.5
         weights = [compute(lambda w, f: w * (1 - f), weight, factor), compute(np.multiply, weight, factor)]
     terms = Terms()
     for part, socket in zip(weights, (first, second), strict=True):
         if isinstance(part, Value) or np.any(part):
-            terms.add(_terms(nodes, socket, part))
+            terms.add(_terms(new_graph, socket, part))
     return terms
 
 

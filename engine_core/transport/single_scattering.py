@@ -92,7 +92,8 @@ class SingleScattering:
     """What all estimates of light scattered once share, and all threads.
 
     screen_dimensions : 2 of a pixel, and 2 of a lens.
-    sizeless, sized : numbers of the lights without size, which `ray_rule` takes, and of all others.
+    sizeless, sized : numbers of the lights without size, which `ray_rule` takes, and of all others, but
+        for those that no fog gets light of.
     """
 
     def __init__(
@@ -116,7 +117,9 @@ class SingleScattering:
                 bare[start:stop] = group.size == 0
         # Whole rays know but light and dark: where shadows are coloured, points are sampled.
         bare &= not surfaces.any_transparent
-        self.sizeless, self.sized = np.flatnonzero(bare), np.flatnonzero(~bare)
+        # What is infinitely far is behind a fog that fills all space.
+        reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
+        self.sizeless, self.sized = np.flatnonzero(bare & reaches), np.flatnonzero(~bare & reaches)
         self.cones = AirLights(lights)
         # Of each light's middle, inside which fogs it is.
         self.light_state = np.zeros(len(lights), np.uint64)

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+
+import numpy as np
 
 from .image.film import VOLUME
 from .integration.inner_rules import InnerRule
@@ -14,8 +16,11 @@ from .scene import Scene
 from .settings import Settings
 from .transport.direct_light import DirectLight
 from .transport.ray_rule import AlongRay, ScatteredAlongRay
+from .transport.silhouettes import silhouettes
 from .transport.single_scattering import SingleScattering
 
+
+Map = Callable[[Callable, Iterable], list]
 
 SHADOW_RAYS = 4
 """Of a camera ray, that together take as long as a sample of a surface."""
@@ -30,6 +35,7 @@ class Part:
     at_nodes, rule : how a node of a control variate over the screen alone integrates the rest.
     sampled, split : an unbiased estimate of the same with little noise, for the residual.
     cost : of one of these, in units of `Settings.samples`.
+    outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     """
 
     name: str
@@ -41,6 +47,7 @@ class Part:
     sampled: StagedIntegrand
     split: int
     cost: float
+    outlines: Callable[[tuple[int, int, int, int], Map], np.ndarray]
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
@@ -67,10 +74,14 @@ def parts_of(
         surfaces.stage.rays,
         settings,
     )
+
+    def outlines(region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
+        return silhouettes(scattering.rays, scattering.surfaces, region, map_)
+
     if scattering.sizeless.size:
         whole = ScatteredAlongRay(scattering, check=check)
         cost = max(1, whole.shadow_rays / SHADOW_RAYS)
         parts.append(
-            Part("fog lit by points", VOLUME, whole, 1, whole, AlongRay(whole.shadow_rays), whole, 1, cost)
+            Part("fog lit by points", VOLUME, whole, 1, whole, AlongRay(whole.shadow_rays), whole, 1, cost, outlines)
         )
     return parts

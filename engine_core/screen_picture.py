@@ -9,7 +9,7 @@ no sample at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -22,7 +22,7 @@ from .integration.integrand import values_at
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange
-from .parts import Part
+from .parts import Map, Part
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -40,11 +40,14 @@ LOG_BLOCK = 3
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
-CHANCE = 0.125
-"""The least with which a pixel is sampled at all."""
+CHANCES = 1 / 16, 1 / 2
+"""The least with which a pixel is sampled at all: in regions 32 pixels wide or more, and where they are small."""
 
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
+
+FAITH = 0.5
+"""How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
 
 MOST = 1 << 12
 """Samples of a pixel at most."""
@@ -53,9 +56,6 @@ MOST_REGIONS = 1_000_000
 
 BEYOND_HOPE = 0.5
 """Part of its variance that a region's polynomial may leave over: where it is more, f itself is sampled."""
-
-Map = Callable[[Callable, Iterable], list]
-
 
 class ScreenPicture:
     """One layer of a picture: built, shown whole, and refined where its error is.
@@ -70,17 +70,13 @@ class ScreenPicture:
         region: tuple[int, int, int, int],
         layer: Layer,
         check: Callable[[], None],
-        without: np.ndarray | None = None,
     ) -> None:
-        """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise.
-
-        without : (W, H) bool, pixels of no polynomial, that are sampled alone.
-        """
-        self._at_nodes, self._rule, self._sampled, self._split = part.at_nodes, part.rule, part.sampled, part.split
+        """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
+        self._at_nodes, self._rule = part.at_nodes, part.rule
+        self._sampled, self._split, self._outlines = part.sampled, part.split, part.outlines
         self._cost, self._settings, self._layer, self._check = part.cost, settings, layer, check
-        self._corner = region[:2]
+        self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
-        self._without = without
         self.regions = self.nodes = 0
         self.seconds: dict[str, float] = {}
         self._tree: RegionTree | None = None
@@ -101,8 +97,10 @@ class ScreenPicture:
         worth = evaluator.cost / self._cost
         budget = total * worth * (1.0 if alone else SHARE)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
-        if log_edge is not None and not (self._without is not None and self._without.all()):
-            tree = RegionTree(bins, 2, log_edge, evaluator, False, self._without)
+        # Alone, polynomials must serve all pixels.
+        outlines = np.zeros(bins, bool) if alone else self._outlines(self._frame, map_)
+        if log_edge is not None and not outlines.all():
+            tree = RegionTree(bins, 2, log_edge, evaluator, False, outlines)
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
             self.regions, self.nodes = len(tree), tree.store.count
             self._left -= evaluator.evaluations / worth
@@ -177,41 +175,50 @@ class ScreenPicture:
         self._approximate = served
         # H stays on show until samples are there; from here on it is no part of a plain pixel.
         self._mean[~served] = 0
-        # Pixels of no region: as if all were alike. The deviation of a pixel that is sampled plainly is f's.
-        if (self._region >= 0).any():
-            table = np.append(self._deviation, self._deviation_of_f.mean())
-            said = table.take(self._region, mode="wrap")
-            plain = (self._region >= 0) & ~served
-            said[plain] = self._deviation_of_f.take(self._region[plain])
-        else:
-            said = np.ones((height, width), np.float32)
+        said = np.ones((height, width), np.float32)
+        if served.any():
+            said[served] = self._deviation.take(self._region[served])
         self._points = staged_points(
             "sobol", 2, self._sampled.rest_dimensions, self._split, settings.seed + 1
         )
-        for group, points in zip(self._points, (1, self._split), strict=True):
+        for group, points in zip(self._points, (2, 2 * self._split), strict=True):
             group.prepare(points)
-        pilot = evenly_spread((width, height), PILOT_ONE_IN, settings.seed).T | ~served
-        self._chance = np.ones((height, width), np.float32)
+        pilot = evenly_spread((width, height), PILOT_ONE_IN, settings.seed).T & served
         self._count = np.zeros((height, width), np.int32)
-        found = np.zeros((height, width), np.float32)
-        rows = np.flatnonzero(pilot)
-
-        def one(part: np.ndarray) -> None:
-            y, x = np.divmod(part, width)
-            residual = self._residuals(x, y, 1)
-            self._residual[y, x] = residual
-            found[y, x] = np.square(np.abs(residual).sum(axis=1))
-
-        map_(one, self._chunks(rows, 1))
         self._count[pilot] = 1
+        self._count[~served] = 2
+        found = np.zeros((height, width), np.float32)
+
+        def few(chunk: tuple[int, np.ndarray]) -> None:
+            n, part = chunk
+            y, x = np.divmod(part, width)
+            residual = self._residuals(x, y, n)
+            self._residual[y, x] = residual.mean(axis=1)
+            # Of f itself, how much its samples differ tells what h would of f - h.
+            square = residual[:, 0] if n == 1 else (residual[:, 0] - residual[:, 1]) / np.sqrt(2)
+            found[y, x] = np.square(np.abs(square).sum(axis=1))
+
+        chunks = [
+            (n, part)
+            for n, which in ((1, pilot), (2, ~served))
+            for part in self._chunks(np.flatnonzero(which), n)
+        ]
+        map_(few, chunks)
         deviation = learned_by_blocks(found, pilot, said)
-        budget = self._left / self._cost - rows.size
-        due, chance = sample_counts(deviation.ravel(), max(budget, 0), DEFENSIVE, CHANCE)
+        if not served.all():
+            deviation[~served] = learned_by_blocks(found, ~served, np.ones_like(said))[~served]
+        pilot |= ~served
+        budget = self._left / self._cost - self._count.sum()
+        due, chance = sample_counts(deviation.ravel(), max(budget, 1), DEFENSIVE, CHANCES[0])
         due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
+        if served.any():
+            # Where regions are small there is something to be missed.
+            least = np.clip(2 * self._per_pixel.max(axis=0), *CHANCES)
+            chance[served] = np.maximum(chance[served], least.take(self._region[served]))
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
         self._chance = np.where(pilot, 1, chance).astype(np.float32)
         due = np.where(kept, due, 0)
-        due[pilot] = np.maximum(due[pilot], 1)
+        due = np.maximum(due, self._count)
         self._due = due.astype(np.int32)
         self._deviation_learned = deviation
         longest = int(due.max())
@@ -241,14 +248,14 @@ class ScreenPicture:
         """Sample the residual of a piece, and write it into the layer."""
         n, part = self._work[number]
         y, x = np.divmod(part, self._bins[0])
-        mean = self._residuals(x, y, int(n))
+        mean = self._residuals(x, y, int(n)).mean(axis=1)
         self._residual[y, x] = mean / self._chance[y, x][:, None]
         self._count[y, x] = n
         self._write(y, x)
         done(int(n) * len(part))
 
     def _residuals(self, x: np.ndarray, y: np.ndarray, n: int) -> np.ndarray:
-        """(B, C) mean of n samples of f - h in pixels (B,), of f where h does not serve."""
+        """(B, n, C) samples of f - h in pixels (B,), of f where h does not serve."""
         self._check()
         pixels = self._pixels(np.stack([x, y]))
         keys = pixels.key()
@@ -257,22 +264,24 @@ class ScreenPicture:
         stage = self._sampled.first(pixels, screen)
         rest = rest.reshape(len(rest), -1)
         f = values_at(self._sampled, stage, len(x) * n, None, rest)[:CHANNELS]
-        f = f.reshape(CHANNELS, len(x), -1).mean(axis=2, dtype=np.float64).T
+        f = f.reshape(CHANNELS, len(x), n, -1).mean(axis=3, dtype=np.float64).transpose(1, 2, 0)
         served = np.flatnonzero(self._approximate[y, x])
-        if served.size:
+        if served.size == len(x):
+            f -= self._variate(x, y, screen)
+        elif served.size:
             f[served] -= self._variate(x[served], y[served], screen[:, served])
         return f
 
     def _variate(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """(B, C) mean of h over points u (2, B, n) of pixels' unit squares."""
+        """(B, n, C) h at points u (2, B, n) of pixels' unit squares."""
         region = self._region[y, x]
         weights = []
         for axis, place in enumerate((x, y)):
             t = (place - self._start[axis].take(region))[:, None] + u[axis]
             t *= self._per_pixel[axis].take(region)[:, None]
             weights.append(lagrange(t))  # (3, B, n)
-        both = np.einsum("ibn,jbn->bij", *weights).reshape(len(x), 9) / u.shape[2]
-        return np.einsum("bk,bkc->bc", both, self._coefficients.take(region, axis=0))
+        both = weights[0][:, None] * weights[1]
+        return np.matmul(both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0))
 
     def _write(self, y: np.ndarray | slice, x: np.ndarray | slice) -> None:
         h, residual = self._mean[y, x], self._residual[y, x]
@@ -297,19 +306,22 @@ def learned_by_blocks(found: np.ndarray, pilot: np.ndarray, said: np.ndarray) ->
     """
     variance = np.square(said, dtype=np.float64)
     variance += 1e-4 * variance.mean() + 1e-300
-    of_pilot = np.where(pilot, variance, 0)
+    found, of_pilot = np.where(pilot, found, 0), np.where(pilot, variance, 0)
     sums = [_around(_blocks(a)) for a in (found, of_pilot, pilot.astype(np.float64))]
     height, width = found.shape
     y, x = np.arange(height) >> LOG_BLOCK, np.arange(width) >> LOG_BLOCK
     seen, hoped, count = (s[y[:, None], x] for s in sums)
-    seen -= np.where(pilot, found, 0)
+    seen -= found
     hoped -= of_pilot
     count -= pilot
-    total = max(float(of_pilot.sum()), 1e-300)
-    ratio, mean = float(np.where(pilot, found, 0).sum()) / total, float(found[pilot].mean()) if pilot.any() else 0
-    prior = np.where(count > 0, hoped / np.maximum(count, 1), variance)
-    ratio = (np.maximum(seen, 0) + prior * ratio) / (np.maximum(hoped, 0) + prior)
-    mean = (np.maximum(seen, 0) + mean) / (np.maximum(count, 0) + 1)
+    seen, hoped, count = (np.maximum(s, 0) for s in (seen, hoped, count))
+    # Of the whole picture what is typical: a few outliers are no reason to sample it all.
+    some = sums[2] > 0
+    typical = np.median(sums[0][some] / np.maximum(sums[1][some], 1e-300)) if some.any() else 1.0
+    typical_mean = np.median(sums[0][some] / sums[2][some]) if some.any() else 0.0
+    prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), variance)
+    ratio = (seen + prior * typical) / (hoped + prior)
+    mean = (seen + FAITH * typical_mean) / (count + FAITH)
     return np.sqrt(variance * ratio + PLACE * mean)
 
 

@@ -138,7 +138,7 @@ def aimed(position: Sequence[float], target: Sequence[float] | None) -> np.ndarr
     matrix = np.eye(4)
     matrix[:3, 3] = position
     if target is not None:
-        back = np.subtract(position, target)
+        back = np.subtract(position, target, dtype=float)
         back /= np.linalg.norm(back)
         right = np.cross((0, 0, 1), back) if abs(back[2]) < 0.99999 else np.array([1.0, 0, 0])
         right /= np.linalg.norm(right)

@@ -8,7 +8,7 @@ import numpy as np
 from .model import Fog, Lamp, Model, Thing, View, diffuse
 from .shapes import Shape, block, grid_faces, revolved
 
-ROWS, COLUMNS = 64, 176
+ROWS, COLUMNS = 54, 154
 RIBS = 11
 WALL = 0.12
 """Thickness, as part of the radius."""

@@ -4,26 +4,75 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .image.film import VOLUME
+from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
+from .integration.integrated import Integrated
 from .scene import Scene
 from .settings import Settings
+from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
+from .transport.laser_in_fog import LaserInFog
+from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
+from .transport.laser_seen import LasersSeen
+from .transport.lasers import Lasers
+from .transport.light_choice import CELL
 from .transport.ray_rule import AlongRay, ScatteredAlongRay
+from .transport.shadows import Shadows
 from .transport.silhouettes import silhouettes
-from .transport.single_scattering import SingleScattering
-
+from .transport.single_scattering import ScatteredLight, SingleScattering
 
 Map = Callable[[Callable, Iterable], list]
+Region = tuple[int, int, int, int]
 
 SHADOW_RAYS = 4
 """Of a camera ray, that together take as long as a sample of a surface."""
+
+MOST_BARE = 16
+"""Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""
+
+SPLIT = 4
+"""Points of the rest for each camera ray, where outlines are sampled."""
+
+POINTS = 128
+"""Of the net that integrates what is left at nodes and samples, of a picture of few samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """An integral over the pixel alone.
+
+    means : radiance (3, B) of pixels and its standard error (3, B), at points (2, B, S) of their unit squares.
+    points : S.
+    """
+
+    means: Callable[[Pixels, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    points: int
+
+
+@dataclass(frozen=True, eq=False)
+class OverScreen:
+    """How a control variate over the screen alone serves an integral.
+
+    at_nodes, rule : what nodes evaluate, and how they integrate it beyond the screen, None if nothing is left.
+    sampled : an unbiased estimate of the same with little noise, for the residual.
+    rays : shadow rays that either takes, about.
+    alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
+    outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
+    """
+
+    at_nodes: StagedIntegrand
+    rule: InnerRule | None
+    sampled: StagedIntegrand
+    rays: int
+    alone: StagedIntegrand
+    split: int
+    outlines: Callable[[Region, Map], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,28 +80,23 @@ class Part:
     """One integral over every pixel.
 
     name, shows : for people; and which pass it belongs to (`image.film.VOLUME` or `LASER`).
-    plain : a sample is one point of all its dimensions. plain_split : of the rest for each camera ray.
-    at_nodes, rule : how a node of a control variate over the screen alone integrates the rest.
-    sampled, split : an unbiased estimate of the same with little noise, for the residual.
-    cost : of one of these, in units of `Settings.samples`.
-    outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
+    plain : a sample is one point of all its dimensions. split : of the rest for each camera ray.
+    by : what serves it better; None if nothing does.
     """
 
     name: str
     shows: str
     plain: StagedIntegrand
-    plain_split: int
-    at_nodes: StagedIntegrand
-    rule: InnerRule
-    sampled: StagedIntegrand
     split: int
-    cost: float
-    outlines: Callable[[tuple[int, int, int, int], Map], np.ndarray]
+    by: OverScreen | Seen | None
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
-        different = {id(integrand): integrand for integrand in (self.plain, self.at_nodes, self.sampled)}
-        return sum((integrand.counts for integrand in different.values()), Counter())
+        integrands = [self.plain]
+        if isinstance(self.by, OverScreen):
+            integrands += [self.by.at_nodes, self.by.sampled, self.by.alone]
+        different = {id(integrand.counts): integrand.counts for integrand in integrands}
+        return sum(different.values(), Counter())
 
 
 def parts_of(
@@ -63,25 +107,102 @@ def parts_of(
     check : called before every batch; may raise, to give up.
     """
     parts: list[Part] = []
-    if surfaces.media is None:
-        return parts
-    scattering = SingleScattering(
-        surfaces.frame,
-        surfaces.media,
-        surfaces.lights,
-        surfaces.surfaces,
-        surfaces.shader,
-        surfaces.stage.rays,
-        settings,
-    )
+    scattering = None
+    if surfaces.media is not None:
+        scattering = SingleScattering(
+            surfaces.frame,
+            surfaces.media,
+            surfaces.lights,
+            surfaces.surfaces,
+            surfaces.shader,
+            surfaces.stage.rays,
+            settings,
+        )
+        parts += _of_fog(scattering, scene.camera.region, settings, check)
+    # Their fog is their own business.
+    shadows = Shadows(surfaces.surfaces, surfaces.shader, settings.transparent_bounces)
+    lasers = Lasers.of(scene, surfaces.frame, surfaces.media, shadows)
+    if lasers is not None:
+        surfaces.messages += lasers.messages
+        parts += _of_lasers(lasers, scene, surfaces, scattering, shadows, settings, check)
+    return parts
 
-    def outlines(region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
+
+def _by_net(
+    integrand: StagedIntegrand, rays: int, settings: Settings, outlines: Callable[[Region, Map], np.ndarray]
+) -> OverScreen:
+    """rays : shadow rays of a point."""
+    # The net's own error falls as 1 / points, and should stay below that of all else.
+    points = int(np.clip(1 << int(np.log2(settings.samples) + 4), POINTS, 1024))
+    inside = Integrated(integrand, points, settings.seed)
+    return OverScreen(inside, None, inside, rays * points, integrand, SPLIT, outlines)
+
+
+def _of_fog(
+    scattering: SingleScattering, region: Region, settings: Settings, check: Callable[[], None]
+) -> list[Part]:
+    def outlines(region: Region, map_: Map) -> np.ndarray:
         return silhouettes(scattering.rays, scattering.surfaces, region, map_)
 
-    if scattering.sizeless.size:
-        whole = ScatteredAlongRay(scattering, check=check)
-        cost = max(1, whole.shadow_rays / SHADOW_RAYS)
-        parts.append(
-            Part("fog lit by points", VOLUME, whole, 1, whole, AlongRay(whole.shadow_rays), whole, 1, cost, outlines)
-        )
+    parts, rest = [], scattering.sized
+    bare = scattering.sizeless
+    if len(bare) > MOST_BARE:
+        bare, rest = bare[:0], np.union1d(bare, rest)
+    if bare.size:
+        whole = ScatteredAlongRay(scattering, bare, check)
+        by = OverScreen(whole, AlongRay(whole.shadow_rays), whole, whole.shadow_rays, whole, 1, outlines)
+        parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
+    if rest.size:
+        choice = scattering.choice_of_cells(rest, *cells(region), check)
+        light = ScatteredLight(scattering, rest, choice, check)
+        by = _by_net(light, 1 if choice is not None else len(rest), settings, outlines)
+        parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
+
+
+def _of_lasers(
+    lasers: Lasers,
+    scene: Scene,
+    surfaces: DirectLight,
+    scattering: SingleScattering | None,
+    shadows: Shadows,
+    settings: Settings,
+    check: Callable[[], None],
+) -> list[Part]:
+    parts = []
+    reflection = Reflection(
+        np.array([material.reflectance for material in scene.materials]).T,
+        surfaces.surfaces.triangles.material,
+    )
+    stage = surfaces.stage
+
+    def outlines(region: Region, map_: Map) -> np.ndarray:
+        return silhouettes(stage.rays, surfaces.surfaces, region, map_)
+
+    if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
+        fog = LaserInFog(lasers, scattering, check=check)
+        by = _by_net(fog, len(fog.stretches), settings, outlines)
+        parts.append(Part("lasers in fog", LASER, fog, 1, by))
+    if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
+        lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
+        by = _by_net(lit, len(lit.stretches), settings, outlines)
+        parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
+    seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
+    if seen.stretches or seen.spots:
+        parts.append(Part("lasers seen", LASER, seen, 1, Seen(seen.means, 64)))
+    return parts
+
+
+def cells(region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows of the cells of a region, row by row, numbered from the whole frame's corner."""
+    x0, y0, x1, y1 = region
+    columns, rows = (np.arange(low // CELL, (high - 1) // CELL + 1) for low, high in ((x0, x1), (y0, y1)))
+    x, y = np.meshgrid(columns, rows)
+    return x.ravel(), y.ravel()
+
+
+def cell_of(x: np.ndarray, y: np.ndarray, region: Region) -> np.ndarray:
+    """Of pixels of the whole frame, the number of the cell of ``region`` in the order of `cells`."""
+    x0, y0, x1, _ = region
+    columns = (x1 - 1) // CELL - x0 // CELL + 1
+    return ((y // CELL - y0 // CELL) * columns + (x // CELL - x0 // CELL)).astype(np.int32)

@@ -18,11 +18,11 @@ import numpy as np
 
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film, Layer
-from .integration.point_sets import PointSet, staged_points
+from .integration.point_sets import PointSet, SobolPoints, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
-from .parts import Part, parts_of
+from .parts import Part, Seen, cell_of, parts_of
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
@@ -37,6 +37,9 @@ PREPARED_SAMPLES = 1024
 
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
+
+SEEN_ROWS = 16
+"""Of the picture, whose beams are drawn at once."""
 
 QUADRATURE_SHARE = 16
 """Samples that stand for one camera ray with a quadrature over the lights."""
@@ -153,12 +156,15 @@ class _Render:
                 "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
                 self._integrand.screen_dimensions,
                 part.plain.rest_dimensions,
-                part.plain_split,
+                part.split,
                 settings.seed + 17 * (number + 1),
             )
             for number, part in enumerate(self._parts)
         ]
-        self._parts_done = settings.integrator in ("control_variates", "cv_only")
+        # A lens is two dimensions more, which no polynomial over the screen covers.
+        self._parts_done = (
+            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
+        )
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
         self._samples = settings.samples
         if self._quadrature:
@@ -275,25 +281,59 @@ class _Render:
     def _parts_by_control_variates(self, pool: Executor) -> str | None:
         """Build, show and refine the pictures of fog and lasers; returns why it was stopped, if it was."""
         settings = self._settings
-        if settings.integrator not in ("control_variates", "cv_only"):
+        if not self._parts_done:
             return None
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
-            picture = ScreenPicture(part, settings, self._camera.region, layer, self._check)
-            outcome, ended = self._drive(pool, picture.build, f"Building the control variate of {part.name}")
-            if not ended:
-                outcome.result()
-                self._show_all()
-                if settings.integrator == "control_variates":
-                    ended = self._refine_part(pool, picture, part.name)
-            self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
-            stages = picture.seconds | {"in all": time.perf_counter() - begin}
+            if isinstance(part.by, Seen):
+                ended = self._see_part(pool, part, layer)
+                stages: dict[str, float] = {}
+            else:
+                ended, stages = self._build_part(pool, part, layer)
+            stages["in all"] = time.perf_counter() - begin
             self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
-            self._integrals[part.name] = "built" if picture.regions else "given up: sampled"
             self._counts.update(part.counts())
             if ended:
                 return ended
         return None
+
+    def _build_part(self, pool: Executor, part: Part, layer: Layer) -> tuple[str | None, dict[str, float]]:
+        picture = ScreenPicture(part.by, self._settings, self._camera.region, layer, self._check)
+        outcome, ended = self._drive(pool, picture.build, f"Building the control variate of {part.name}")
+        if not ended:
+            outcome.result()
+            self._show_all()
+            if self._settings.integrator == "control_variates":
+                ended = self._refine_part(pool, picture, part.name)
+        self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
+        self._integrals[part.name] = "built" if picture.regions else "given up: sampled"
+        return ended, picture.seconds
+
+    def _see_part(self, pool: Executor, part: Part, layer: Layer) -> str | None:
+        """What is an integral over the pixel alone."""
+        x0, y0, x1, y1 = self._camera.region
+        points = SobolPoints(range(2), self._settings.seed + 3, 0, dtype=np.float64)
+        points.prepare(part.by.points)
+
+        def see(low: int) -> None:
+            self._check()
+            y, x = (a.ravel() for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
+            pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._camera.region))
+            mean, error = part.by.means(pixels, points.points(pixels.key(), 0, part.by.points))
+            at = np.s_[low - y0 : low - y0 + SEEN_ROWS]
+            shape = layer.radiance[at].shape
+            layer.radiance[at] = np.clip(mean, -LARGEST, LARGEST).T.reshape(shape)
+            layer.control_variate[at] = layer.radiance[at]
+            layer.standard_error[at] = np.minimum(error, LARGEST).T.reshape(shape)
+
+        outcome, ended = self._drive(
+            pool, lambda map_, _: map_(see, range(y0, y1, SEEN_ROWS)), f"Drawing {part.name}"
+        )
+        if not ended:
+            outcome.result()
+            self._integrals[part.name] = "seen by camera rays alone"
+            self._show_all()
+        return ended
 
     def _refine_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
         outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
@@ -387,7 +427,7 @@ class _Render:
         self._points[1].prepare(needed * self._split)
         for part, points in zip(self._parts, self._part_points, strict=True):
             points[0].prepare(needed)
-            points[1].prepare(needed * part.plain_split)
+            points[1].prepare(needed * part.split)
         pending = {pool.submit(_quietly, self._work, tile, start, count): tile for tile in tiles}
 
         def text() -> str:
@@ -533,7 +573,7 @@ class _Render:
             )
         else:
             sums = sum_samples(
-                part.plain, pixels, pixels.key(), points, start, count, part.plain_split, self._settings.batch_size
+                part.plain, pixels, pixels.key(), points, start, count, part.split, self._settings.batch_size
             )
         mean = np.clip(sums.values[:3] / count, -LARGEST, LARGEST)
         before = layer.radiance[row, column].T

@@ -22,7 +22,7 @@ from .integration.integrand import values_at
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange
-from .parts import Map, Part
+from .parts import SHADOW_RAYS, Map, OverScreen, cell_of
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -42,6 +42,9 @@ DEFENSIVE = 0.1
 
 CHANCES = 1 / 16, 1 / 2
 """The least with which a pixel is sampled at all: in regions 32 pixels wide or more, and where they are small."""
+
+DEAR = 4.0
+"""Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
 
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
@@ -65,16 +68,20 @@ class ScreenPicture:
 
     def __init__(
         self,
-        part: Part,
+        by: OverScreen,
         settings: Settings,
         region: tuple[int, int, int, int],
         layer: Layer,
         check: Callable[[], None],
     ) -> None:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
-        self._at_nodes, self._rule = part.at_nodes, part.rule
-        self._sampled, self._split, self._outlines = part.sampled, part.split, part.outlines
-        self._cost, self._settings, self._layer, self._check = part.cost, settings, layer, check
+        self._at_nodes, self._rule = by.at_nodes, by.rule
+        self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
+        self._split, self._alone_cost = by.split, max(1.0, (1 + by.split) / (1 + SHADOW_RAYS))
+        if by.alone is by.sampled:
+            self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
+        self._settings, self._layer, self._check = settings, layer, check
+        self._cost = max(1.0, by.rays / SHADOW_RAYS)
         self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
         self.regions = self.nodes = 0
@@ -93,7 +100,6 @@ class ScreenPicture:
         evaluator = NodeEvaluator(
             self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
         )
-        # A node is worth what a sample of the residual is.
         worth = evaluator.cost / self._cost
         budget = total * worth * (1.0 if alone else SHARE)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
@@ -113,7 +119,7 @@ class ScreenPicture:
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
-        return Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(x), np.int32))
+        return Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._frame))
 
     def _integrate(self) -> None:
         """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
@@ -129,8 +135,7 @@ class ScreenPicture:
         density = neighbourly(leaves.density, leaves, tree.store.count)
         inside = np.zeros(len(leaves))
         if tree.store.spread is not None:
-            # Nodes tell it of a single point; a net of a few falls about so.
-            inside = tree.store.spread.take(leaves.nodes) @ weights * self._split**-0.75
+            inside = tree.store.spread.take(leaves.nodes) @ weights
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
@@ -178,12 +183,14 @@ class ScreenPicture:
         said = np.ones((height, width), np.float32)
         if served.any():
             said[served] = self._deviation.take(self._region[served])
-        self._points = staged_points(
-            "sobol", 2, self._sampled.rest_dimensions, self._split, settings.seed + 1
+        self._points = staged_points("sobol", 2, self._sampled.rest_dimensions, 1, settings.seed + 1)
+        self._alone_points = staged_points(
+            "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
         )
-        for group, points in zip(self._points, (2, 2 * self._split), strict=True):
-            group.prepare(points)
-        pilot = evenly_spread((width, height), PILOT_ONE_IN, settings.seed).T & served
+        self._prepare(2)
+        # Dear samples are fewer.
+        dear = float(np.clip(self._cost / DEAR, 1, 8))
+        pilot = evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served
         self._count = np.zeros((height, width), np.int32)
         self._count[pilot] = 1
         self._count[~served] = 2
@@ -208,12 +215,16 @@ class ScreenPicture:
         if not served.all():
             deviation[~served] = learned_by_blocks(found, ~served, np.ones_like(said))[~served]
         pilot |= ~served
-        budget = self._left / self._cost - self._count.sum()
-        due, chance = sample_counts(deviation.ravel(), max(budget, 1), DEFENSIVE, CHANCES[0])
+        cost = np.where(served, self._cost, self._alone_cost)
+        budget = self._left - float((self._count * cost).sum())
+        # Where a sample is cheaper, more of them are worth it.
+        cheap = np.sqrt(self._cost / cost)
+        budget /= float((deviation * cheap * cost).sum() / max((deviation * cheap).sum(), 1e-300))
+        due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCES[0] / dear)
         due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
         if served.any():
             # Where regions are small there is something to be missed.
-            least = np.clip(2 * self._per_pixel.max(axis=0), *CHANCES)
+            least = np.clip(2 * self._per_pixel.max(axis=0), *CHANCES) / dear
             chance[served] = np.maximum(chance[served], least.take(self._region[served]))
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
         self._chance = np.where(pilot, 1, chance).astype(np.float32)
@@ -221,18 +232,18 @@ class ScreenPicture:
         due = np.maximum(due, self._count)
         self._due = due.astype(np.int32)
         self._deviation_learned = deviation
-        longest = int(due.max())
-        for group, points in zip(self._points, (longest, longest * self._split), strict=True):
-            group.prepare(points)
+        self._prepare(int(due.max()))
+        more = due > self._count
         self._work = [
             (n, part)
-            for n in np.unique(due[due > self._count])[::-1]
-            for part in self._chunks(np.flatnonzero((due == n) & (due > self._count)), int(n))
+            for n in np.unique(due[more])[::-1]
+            for which in (served, ~served)
+            for part in self._chunks(np.flatnonzero((due == n) & more & which), int(n))
         ]
         self.seconds["allocation"] = perf_counter() - began
 
     def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
-        step = max(1, self._settings.batch_size // (n * max(self._split, 2)))
+        step = max(1, self._settings.batch_size // (n * 2))
         return [rows[low : low + step] for low in range(0, len(rows), step)]
 
     def __len__(self) -> int:
@@ -255,22 +266,25 @@ class ScreenPicture:
         done(int(n) * len(part))
 
     def _residuals(self, x: np.ndarray, y: np.ndarray, n: int) -> np.ndarray:
-        """(B, n, C) samples of f - h in pixels (B,), of f where h does not serve."""
+        """(B, n, C) samples of f - h in pixels (B,), or of f where h serves none of them."""
         self._check()
         pixels = self._pixels(np.stack([x, y]))
         keys = pixels.key()
-        screen = self._points[0].points(keys, 0, n)
-        rest = self._points[1].points(keys, 0, n * self._split)
-        stage = self._sampled.first(pixels, screen)
-        rest = rest.reshape(len(rest), -1)
-        f = values_at(self._sampled, stage, len(x) * n, None, rest)[:CHANNELS]
-        f = f.reshape(CHANNELS, len(x), n, -1).mean(axis=3, dtype=np.float64).transpose(1, 2, 0)
-        served = np.flatnonzero(self._approximate[y, x])
-        if served.size == len(x):
-            f -= self._variate(x, y, screen)
-        elif served.size:
-            f[served] -= self._variate(x[served], y[served], screen[:, served])
-        return f
+        served = len(x) > 0 and self._approximate[y[0], x[0]]
+        integrand, (first, rest) = (
+            (self._sampled, self._points) if served else (self._alone, self._alone_points)
+        )
+        split = 1 if served else self._split
+        screen, u = first.points(keys, 0, n), rest.points(keys, 0, n * split)
+        stage = integrand.first(pixels, screen)
+        f = values_at(integrand, stage, len(x) * n, None, u.reshape(len(u), len(x) * n * split))[:CHANNELS]
+        f = f.reshape(CHANNELS, len(x), n, split).mean(axis=3, dtype=np.float64).transpose(1, 2, 0)
+        return f - self._variate(x, y, screen) if served else f
+
+    def _prepare(self, count: int) -> None:
+        for points, split in ((self._points, 1), (self._alone_points, self._split)):
+            points[0].prepare(count)
+            points[1].prepare(count * split)
 
     def _variate(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
         """(B, n, C) h at points u (2, B, n) of pixels' unit squares."""

@@ -5,7 +5,7 @@ What is seen and what is smooth are integrated apart. Shadow rays to a few *node
 a light is seen; between two that differ, bisection finds the shadow's edge. All other factors are one smooth
 function of the place, a polynomial through Gauss-Legendre points; its antiderivative needs no ray.
 
-The unbiased estimate adds two rays: one in the last bracket of each edge, and one anywhere, where the
+The unbiased estimate adds rays: one in the last bracket of each edge, and a few anywhere, where the
 integrand is compared with the polynomial times the visibility that was found.
 """
 
@@ -21,11 +21,14 @@ from .direct_light import SHADOW
 from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, Lanes, Segments, TowardsSuns
 from .single_scattering import FogRays, Scattered, SingleScattering
 
-NODES, NODES_OF_SPOTS = 9, 17
+NODES, NODES_OF_SPOTS = 17, 17
 """Where visibility is asked for in a lane: what is thinner than a step may be missed, in a spot's cone soonest."""
 
 BISECTIONS = 3
 """Of the step in which a shadow has its edge."""
+
+CHECKS = 4
+"""Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
 
 POINTS, POINTS_OF_PEAKS = 10, 16
 """Of the quadrature of what is smooth, in each piece of a lane; more where a phase function has a peak."""
@@ -148,23 +151,37 @@ class ScatteredAlongRay(Scattered):
                 change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
             result += _sums(lane, change, len(lanes))
         if u is not None:
-            at = u[1]
-            cell = np.searchsorted(s[1:-1], at, side="right")
-            here = np.arange(len(lanes))
-            before, after = seen[cell, here], seen[cell + 1, here]
-            believed, known = before.copy(), np.ones(len(lanes), np.float32)
-            if lane.size:
-                row = np.full(seen.shape, -1)
-                row[step, lane] = np.arange(len(lane))
-                row = row[cell, here]
-                edges = np.flatnonzero(row >= 0)
-                which = row.take(edges)
-                place = at.take(edges)
-                believed[edges] = np.where(place < low.take(which), before.take(edges), after.take(edges))
-                known[edges] = (place < low.take(which)) | (place > high.take(which))
-            result += lanes.smooth(at) * (known * self._seen(lanes, at))
-            result -= pieces.value(None, at) * (known * believed)
+            result += self._checked(lanes, pieces, s, seen, (step, lane, low, high), u[1])
         return result, error
+
+    def _checked(
+        self,
+        lanes: Lanes,
+        pieces: _Pieces,
+        s: np.ndarray,
+        seen: np.ndarray,
+        edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        u: np.ndarray,
+    ) -> np.ndarray:
+        """(G, C, n) what is missing where nodes s (K,) say ``seen`` (K, n), by a few rays placed by u (n,).
+
+        edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
+        """
+        at = (u + np.arange(CHECKS, dtype=np.float32)[:, None]) / np.float32(CHECKS)
+        cell, here = np.searchsorted(s[1:-1], at, side="right"), np.arange(len(lanes))
+        believed, known = seen[cell, here], np.full(at.shape, 1 / CHECKS, np.float32)
+        step, lane, low, high = edges
+        if lane.size:
+            row = np.full((len(s) - 1, len(lanes)), -1)
+            row[step, lane] = np.arange(len(lane))
+            row = row[cell, here]
+            near = np.nonzero(row >= 0)
+            place, row = at[near], row[near]
+            below = place < low.take(row)
+            believed[near] = np.where(below, believed[near], seen[cell + 1, here][near])
+            known[near] *= below | (place > high.take(row))
+        truth = lanes.smooth(at) * (known * self._seen(lanes, at))
+        return (truth - pieces.value(None, at) * (known * believed)).sum(axis=2)
 
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
@@ -231,9 +248,9 @@ class _Quadrature:
         self._integrals = (series.T @ higher).astype(np.float32)
 
     def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,)."""
-        factor = self._values @ _legendre(s.astype(np.float32), len(self.at))
-        return (values * factor).sum(axis=-2)
+        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,); or at s (J, X), (..., J, X)."""
+        factor = np.tensordot(self._values, _legendre(s.astype(np.float32), len(self.at)), 1)
+        return np.einsum("gcqx,qx->gcx" if s.ndim == 1 else "gcqx,qjx->gcjx", values, factor)
 
     def integral(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
         """(..., X) their integrals from 0 to s (X,)."""
@@ -296,10 +313,12 @@ class _Pieces:
         return result
 
     def value(self, lane: np.ndarray | None, s: np.ndarray) -> np.ndarray:
-        """(G, C, X) the factor at s (X,) of lanes (X,), None for all in order."""
+        """(G, C, X) the factor at s (X,) of lanes (X,), None for all in order; (G, C, J, X) at s (J, X)."""
         if self._number is None:
             values = self._values if lane is None else self._values.take(lane, axis=-1)
             return self._quadrature.value(values, s)
+        if s.ndim == 2:
+            return np.stack([self.value(lane, one) for one in s], axis=2)
         row = np.zeros(len(s), np.intp)
         for number in self._number:
             of = number if lane is None else number.take(lane)

@@ -21,7 +21,7 @@ from engine_core.shading.closures import Diffuse, Transparent
 from engine_core.transport.camera_hits import CameraStage, Pixels
 from engine_core.transport.camera_rays import CameraRays
 from engine_core.transport.laser_in_fog import LaserInFog
-from engine_core.transport.laser_lit_parts import LitParts
+from engine_core.transport.laser_lit_parts import LitBeams, LitParts
 from engine_core.transport.laser_maps import (
     along_beam,
     along_ray,
@@ -237,7 +237,7 @@ def test_light_in_fog_is_the_double_integral(seed):
     wanted *= laser.power[channel] * scattering[channel] ** 2
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
     nodes = Nodes(integrand, rays, 1, np.zeros(1, int), np.zeros((0, 1)), np.zeros(1, np.uint32), 0)
-    assert LitParts(16, 24).integrate(nodes)[0][channel, 0] == pytest.approx(wanted, rel=1e-3)
+    assert LitParts(24, beam=16).integrate(nodes)[0][channel, 0] == pytest.approx(wanted, rel=1e-3)
 
 
 @pytest.mark.parametrize("g", [0.0, 0.6])
@@ -302,7 +302,7 @@ def behind_a_ball(**fields: Any) -> Stage:
     return Stage(Scene(camera, meshes, lights=(laser,), **everywhere(0.1, 0.02, 0.3)))
 
 
-def at_nodes(integrand: LaserInFog, rule: InnerRule, where: Pixels) -> np.ndarray:
+def at_nodes(integrand: LaserInFog | LaserOnSurfaces, rule: InnerRule, where: Pixels) -> np.ndarray:
     """(3, B) integrals in the pixels' middles."""
     n = len(where)
     rays = integrand.first(where, np.full((2, n, 1), 0.5))
@@ -313,7 +313,7 @@ def at_nodes(integrand: LaserInFog, rule: InnerRule, where: Pixels) -> np.ndarra
 @pytest.mark.parametrize("name", MAPS)
 def test_samples_behind_an_occluder_are_unbiased(name):
     stage, where = behind_a_ball(), pixels(12, 12)
-    reference = at_nodes(stage.in_fog(), LitParts(32, 8, 33, 6), where)[0]
+    reference = at_nodes(stage.in_fog(), LitParts(8, 33, 6, 32), where)[0]
     integrand, means = stage.in_fog(name), []
     for seed in range(24):
         rays = integrand.first(where, np.full((2, len(where), 1), 0.5))
@@ -328,7 +328,7 @@ def test_bisected_shadows_beat_as_many_points_elsewhere():
     stage, where = behind_a_ball(), pixels(12, 12)
     reference, lit, plain = (
         at_nodes(stage.in_fog(), rule, where)[0]
-        for rule in (LitParts(32, 8, 33, 6), LitParts(), GaussTensor(8))
+        for rule in (LitParts(8, 33, 6, 32), LitParts(), GaussTensor(8))
     )
     assert abs(lit - reference).mean() < abs(plain - reference).mean()
     assert lit.mean() == pytest.approx(reference.mean(), rel=5e-3)
@@ -371,6 +371,16 @@ def test_light_on_surfaces_is_the_integral_along_the_beam(seed):
         np.exp(-sigma * np.linalg.norm(point - line.origin)) * laser.power[channel] * scattering[channel]
     )
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
+
+
+def test_nodes_on_surfaces_know_the_edges_of_shadows():
+    stage, where = behind_a_ball(), pixels(12, 12)
+    reference, lit, plain = (
+        at_nodes(stage.on_surfaces(), rule, where)[0]
+        for rule in (GaussTensor(256), LitBeams(), GaussTensor(16))
+    )
+    assert abs(lit - reference).mean() < 0.5 * abs(plain - reference).mean()
+    assert lit.mean() == pytest.approx(reference.mean(), rel=1e-2)
 
 
 # -- seen ----------------------------------------------------------------------------------------------

@@ -142,7 +142,7 @@ class LaserInFog(Scattered):
     def rest(
         self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray
     ) -> tuple[np.ndarray | None, np.ndarray]:
-        """Radiance (3, N) at u (2, M, S), beam and camera ray, of M rays in fog; at (2, N) of ``lane`` (N,)."""
+        """Radiance (3, N) at u (2, M, S), beam and camera ray, of M rays in fog; at (2, N) of ``lane``."""
         self._check()
         if lane is None and u.shape[2] > 1:
             lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
@@ -173,7 +173,7 @@ class LaserInFog(Scattered):
     def arriving(
         self, segments: Segments, stretch: Stretch, rows: np.ndarray, v: np.ndarray, t: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which (J,) of N points t (N,) of segments ``rows`` (N,) see points v (N,) of the beam, and what part
+        """Which (J,) of points t (N,) of segments ``rows`` (N,) see points v (N,) of the beam, and what part
         (3, J) or (1, J) of its light gets there.
         """
         origins, directions = between(segments, stretch, rows, v, t)
@@ -187,7 +187,7 @@ class LaserInFog(Scattered):
     def arrivals(
         self, origins: np.ndarray, directions: np.ndarray, reach: float
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Which (J,) of rays (N, 3) no surface blocks, and what part (3, J) gets through; None for all of it."""
+        """Which (J,) of rays (N, 3) no surface blocks, and what part (3, J) gets through; None for all."""
         arrive, part, crossings = self._scattering.shadows.passing(origins, directions, reach)
         self._count(SHADOW, len(origins))
         self._count(CROSSING, crossings)

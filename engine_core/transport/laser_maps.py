@@ -9,9 +9,10 @@ which is asinh; along the ray by 1/r^2 about the point that was sampled on the b
 
 The thesis maps the ray about the point that is nearest to the beam's line, at that distance (eq. 6.14-6.15).
 
-Of the two lines: along the beam, ``y`` is the distance from the ray's line within the plane of both directions
-(0 where they pass each other, growing with sin), ``h`` the distance between the lines; along the ray, ``x`` is
-measured from the foot of the sampled point. All float64: near the beam differences of large numbers count.
+Of the two lines: along the beam, ``y`` is the distance from the ray's line within the plane of both
+directions (0 where they pass each other, growing with sin), ``h`` the distance between the lines; along the
+ray, ``x`` is measured from the foot of the sampled point. All float64: near the beam differences of large
+numbers count.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ LEAST_GAP = 1e-9
 """Of a point of the beam and the ray, over the length of the ray: the same."""
 
 LEAST_SINE = 1e-30
-"""Lines that are parallel count as nearly so: the map's limit, uniform along the beam, needs no other case."""
+"""Lines that are parallel count as nearly so: the map's limit, uniform on the beam, needs no other case."""
 
 
 @dataclass(eq=False)
@@ -104,7 +105,7 @@ def along_beam(p: Passage, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def along_ray(p: Passage, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of the ray about the beam's points v (N,): x from their foot, r, and dx / r^2 / du; (N,) each."""
+    """Points of the ray about v (N,) of the beam: x from their foot, r, and dx / r^2 / du; (N,) each."""
     foot, gap = foot_and_gap(p, v)
     w, dw = half_angles(p.start - foot, p.end - foot, gap)
     return at_half_angle(w + u * dw, dw, gap)

@@ -3,8 +3,8 @@
 
     L = integral dv  power T_beam(v) s p(cos_v) T(r) V f cos / r^2
 
-over the beam v, r from the surface point; f its BSDF. The map along the beam is by 1/r^2 about the point. As a
-staged function of primary space:
+over the beam v, r from the surface point; f its BSDF. The map along the beam is by 1/r^2 about the point. As
+a staged function of primary space:
 
     first : (screen 2, lens 2 if it has a size) -> camera hits
     rest  : (beam 1) -> radiance reflected at those hits, of all lasers at the same point, summed
@@ -19,7 +19,7 @@ from threading import Lock
 
 import numpy as np
 
-from ..geometry.vectors import dot, take
+from ..geometry.vectors import dot, inverse_length, take
 from ..integration.integrand import FirstStage
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _inset
@@ -43,7 +43,7 @@ class Reflection:
     """What the points of camera hits reflect."""
 
     def __init__(self, reflectance: np.ndarray, material: np.ndarray) -> None:
-        """reflectance : (3, number of materials), ``material`` : of each triangle, where all are Lambertian."""
+        """Where all are Lambertian: reflectance (3, number of materials), and each triangle's material."""
         self._lambert = (np.asarray(reflectance) / np.pi).astype(np.float32)
         self._material = material
 
@@ -92,7 +92,7 @@ class LaserOnSurfaces:
         """check : called before every batch; may raise, to give up."""
         self.stretches = [s for s in lasers.stretches if s.laser.on_surfaces]
         self._stage, self._shadows, self._media, self._check = stage, shadows, media, check
-        self._reflection = reflection
+        self.reflection = reflection
         self._counting = Lock()
         self.counts = Counter(dict.fromkeys((CAMERA, SHADOW, CROSSING, NON_FINITE), 0))
         self.screen_dimensions = stage.dimensions
@@ -101,9 +101,8 @@ class LaserOnSurfaces:
         """Hits of camera rays through points (2 or 4, B, S) of pixels' unit squares, and of the lens."""
         self._check()
         hits = self._stage.hit(pixels, _inset(u))
-        with self._counting:
-            self.counts[CAMERA] += u[0].size
-            self.counts[CROSSING] += hits.crossings
+        self._count(CAMERA, u[0].size)
+        self._count(CROSSING, hits.crossings)
         return replace(hits, values=None)
 
     def rest(
@@ -112,51 +111,57 @@ class LaserOnSurfaces:
         """Radiance (3, N) at u (1, M, S) for M hits; at u (1, N) for hits ``lane`` (N,)."""
         self._check()
         u = np.asarray(u, np.float64).reshape(-1)
-        which, at = _of_each(hits, lane, len(u))
-        points = hits.points
+        which, at = of_each(hits, lane, len(u))
         out = np.zeros((3, len(u)), np.float32)
-        if len(points) == 0:
+        if len(at) == 0:
             return None, out
-        position = take(points.position, at).astype(np.float64)
         u = u.take(which)
         for stretch in self.stretches:
-            v, to_beam, r, weight = toward(stretch, position, u)
-            direction = to_beam / r
-            value = scattered(stretch.scattering, *halves(-dot(direction, stretch.direction[:, None])))
-            value *= stretch.transmittance(v) * stretch.power[:, None] * weight
-            value = value.astype(np.float32)
-            unit = direction.astype(np.float32)
-            self._reflection.of(hits, at, unit, value)
+            value, v, to_beam = Sights(hits, at, stretch).reflected(self.reflection, u)
             lit = np.flatnonzero(value.any(axis=0))
             good = np.isfinite(value[:, lit]).all(axis=0)
             if not good.all():
-                with self._counting:
-                    self.counts[NON_FINITE] += int(len(lit) - good.sum())
+                self._count(NON_FINITE, int(len(lit) - good.sum()))
                 lit = lit[good]
-            where, vector = at.take(lit), take(to_beam, lit).astype(np.float32)
-            value = take(value, lit)
             if stretch.casts_shadow:
-                cosine = dot(take(points.normal, where), take(unit, lit))
-                arrive, part, crossings = self._shadows.arriving(points, Towards(where, vector), cosine)
-                with self._counting:
-                    self.counts[SHADOW] += len(where)
-                    self.counts[CROSSING] += crossings
-                lit, vector, value = lit.take(arrive), take(vector, arrive), take(value, arrive)
-                if part is not None:
-                    value *= part
-            # From the beam, where it is known what that is in.
-            beam = (stretch.start[:, None] + v.take(lit) * stretch.direction[:, None]).astype(np.float32)
-            inside = np.full(len(lit), stretch.inside)
-            depth = self._media.optical_depth(beam.T.copy(), -vector.T, 1.0, inside)
-            value *= np.exp(-depth)
+                arrive, part = self.arrivals(hits, at.take(lit), take(to_beam, lit))
+                lit = lit.take(arrive)
+                value = take(value, lit) if part is None else take(value, lit) * part
+            else:
+                value = take(value, lit)
+            value *= np.exp(-self.depth_between(stretch, v.take(lit), take(to_beam, lit)))
             for row, channel in zip(out, value, strict=True):
                 row += np.bincount(which.take(lit), channel, len(row)).astype(np.float32)
         return None, out
 
+    def arrivals(
+        self, hits: CameraHits, at: np.ndarray, to_beam: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Which (J,) of points ``at`` (N,) see where ``to_beam`` (3, N) leads, and what part (3, J) of its
+        light gets through; None for all.
+        """
+        cosine = dot(take(hits.points.normal, at), to_beam) * inverse_length(to_beam)
+        arrive, part, crossings = self._shadows.arriving(hits.points, Towards(at, to_beam), cosine)
+        self._count(SHADOW, len(at))
+        self._count(CROSSING, crossings)
+        return arrive, part
 
-def _of_each(hits: CameraHits, lane: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points that ``count`` samples, at rays ``lane`` (None: as many for each that hit), are of: which sample,
-    and the point."""
+    def depth_between(self, stretch: Stretch, v: np.ndarray, to_beam: np.ndarray) -> np.ndarray:
+        """(C, N) optical depth between points and v (N,) of a beam's stretch, ``to_beam`` (3, N) away."""
+        # From the beam, where it is known what that is in.
+        beam = stretch.start[:, None] + v * stretch.direction[:, None]
+        origins, directions = (np.ascontiguousarray(a.T, np.float32) for a in (beam, -to_beam))
+        return self._media.optical_depth(origins, directions, 1.0, np.full(len(v), stretch.inside))
+
+    def _count(self, kind: str, number: int) -> None:
+        with self._counting:
+            self.counts[kind] += number
+
+
+def of_each(hits: CameraHits, lane: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points that ``count`` samples are of, at rays ``lane`` that hit (None: as many for each): which sample,
+    and the point.
+    """
     rays = len(hits.points) if hits.first is None else len(hits.first) - 1
     if lane is None:
         lane = np.repeat(np.arange(rays), count // max(rays, 1))
@@ -168,18 +173,52 @@ def _of_each(hits: CameraHits, lane: np.ndarray | None, count: int) -> tuple[np.
     return which, np.arange(len(which)) - np.repeat(np.cumsum(seen) - seen, seen) + start.take(which)
 
 
-def toward(
-    stretch: Stretch, position: np.ndarray, u: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points v (N,) of a beam's stretch for points (3, N) float64 and u (N,), vectors (3, N) there, their
-    lengths, and dv / r^2 / du.
-    """
-    axis = stretch.direction[:, None]
-    start = stretch.start[:, None] - position
-    low = dot(start, axis)
-    apart = start - low * axis
-    far = np.maximum(np.abs(low), np.abs(low + stretch.length))
-    gap = np.maximum(np.sqrt(dot(apart, apart)), LEAST_DISTANCE * far)
-    w, dw = half_angles(low, low + stretch.length, gap)
-    x, r, weight = at_half_angle(w + u * dw, dw, gap)
-    return np.clip(x - low, 0, stretch.length), apart + x * axis, r, weight
+class Sights:
+    """A stretch of a beam as points ``at`` (L,) of camera hits see it: mapped by 1/r^2."""
+
+    def __init__(self, hits: CameraHits, at: np.ndarray, stretch: Stretch, above: bool = False) -> None:
+        """above : only what is above the points' horizon."""
+        self._hits, self._at, self._stretch = hits, at, stretch
+        axis = stretch.direction[:, None]
+        start = stretch.start[:, None] - take(hits.points.position, at).astype(np.float64)
+        self._foot = dot(start, axis)
+        self._apart = start - self._foot * axis
+        low, high = self._foot, self._foot + stretch.length
+        if above:
+            normal = take(hits.points.normal, at)
+            height, slope = dot(normal, self._apart), dot(normal, axis)
+            horizon = -height / np.where(slope == 0, 1, slope)
+            low = np.where(slope > 0, np.clip(horizon, low, high), low)
+            high = np.where(slope < 0, np.clip(horizon, low, high), high)
+        far = np.maximum(np.abs(low), np.abs(high))
+        self._gap = np.maximum(np.sqrt(dot(self._apart, self._apart)), LEAST_DISTANCE * far)
+        self._low, self._dw = half_angles(low, high, self._gap)
+
+    def points(
+        self, rows: np.ndarray | None, s: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of sights ``rows`` (N,), None for all, at s (N,): v of the stretch, vectors (3, N) there, their
+        lengths, and dv / r^2 / ds.
+        """
+        low, dw, gap, foot, apart = (
+            a if rows is None else take(a, rows)
+            for a in (self._low, self._dw, self._gap, self._foot, self._apart)
+        )
+        x, r, weight = at_half_angle(low + s * dw, dw, gap)
+        v = np.clip(x - foot, 0, self._stretch.length)
+        return v, apart + x * self._stretch.direction[:, None], r, weight
+
+    def reflected(
+        self, reflection: Reflection, s: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(3, L) the integrand at s (L,), but for what is between; v (L,) of the stretch, and vectors (3, L)
+        float32 there.
+        """
+        stretch = self._stretch
+        v, to_beam, r, weight = self.points(None, s)
+        direction = to_beam / r
+        value = scattered(stretch.scattering, *halves(-dot(direction, stretch.direction[:, None])))
+        value *= stretch.transmittance(v) * stretch.power[:, None] * weight
+        value = value.astype(np.float32)
+        reflection.of(self._hits, self._at, direction.astype(np.float32), value)
+        return value, v, to_beam.astype(np.float32)

@@ -258,8 +258,8 @@ def glow(segments: Segments, stretch: Stretch) -> np.ndarray:
 def beside_beams(
     rays: CameraRays, stretches: Sequence[Stretch], region: tuple[int, int, int, int], distance: float = 2.0
 ) -> np.ndarray:
-    """(W, H) bool, which pixels of a region x0, y0, x1, y1 have their middle beside the image of a beam: there
-    light that fog scatters twice is as bright as log(1/distance), which no polynomial follows.
+    """(W, H) bool, pixels of a region x0, y0, x1, y1 whose middle is beside the image of a beam: there light
+    that fog scatters twice is as bright as log(1/distance), which no polynomial follows.
     """
     x0, y0, x1, y1 = region
     x, y = np.arange(x0, x1)[:, None] + 0.5, np.arange(y0, y1) + 0.5

@@ -103,8 +103,12 @@ class BlenderSink(Sink):
     def cancelled(self) -> bool:
         return self._engine.test_break()
 
+    @property
+    def watched(self) -> bool:
+        return not bpy.app.background
+
     def tile(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
-        if not bpy.app.background:  # nobody watches
+        if self.watched:
             self.write(film, x0, y0, x1, y1)
 
     def write(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:

@@ -30,8 +30,9 @@ from .transport.single_scattering import ScatteredLight, SingleScattering
 Map = Callable[[Callable, Iterable], list]
 Region = tuple[int, int, int, int]
 
-SHADOW_RAYS = 4
-"""Of a camera ray, that together take as long as a sample of a surface."""
+SHADOW_RAYS = 1
+"""In fog, for each of `Settings.samples` a pixel: whole rays with many of them bring far more than a sample of
+a surface does."""
 
 MOST_BARE = 16
 """Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""

@@ -357,6 +357,7 @@ def obstacles(integrand: DirectLight) -> str:
         "mesh lights of many triangles": integrand.chooses_triangle,
         "depth of field": integrand.screen_dimensions > 2,
         "no light has a size": integrand.only_points,
+        "no surface reflects": not integrand.reflects,
         "BSDFs sampled alone": integrand.sampling == "bsdf" and not integrand.lambertian,
     }
     return ", ".join(what for what, there in found.items() if there)

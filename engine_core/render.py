@@ -52,7 +52,12 @@ _KEPT_CHOICES = 1 << 25
 
 
 class Sink:
-    """Where a render reports to; all calls come from the thread that called `render`."""
+    """Where a render reports to; all calls come from the thread that called `render`.
+
+    watched : whether anybody looks at tiles before the end; if not, `tile` need not be called.
+    """
+
+    watched = True
 
     def cancelled(self) -> bool:
         """Polled every `POLL_SECONDS`; True stops the render and keeps what is there."""
@@ -63,6 +68,10 @@ class Sink:
 
     def progress(self, fraction: float, elapsed: float, remaining: float | None, text: str) -> None:
         """How far the render is: fraction in [0, 1], seconds, and a phrase for people."""
+
+
+class _Nobody(Sink):
+    watched = False
 
 
 @dataclass(eq=False)
@@ -118,7 +127,7 @@ def render(
     try:
         # What over- or underflows in a scene of extreme sizes is dealt with where it matters.
         with np.errstate(all="ignore"):
-            return _Render(scene, settings or Settings(), sink or Sink()).run(executor)
+            return _Render(scene, settings or Settings(), sink or _Nobody()).run(executor)
     except MemoryError as error:
         raise RenderError(
             "not enough memory for this scene; use fewer or simpler instances, or a smaller picture"
@@ -166,7 +175,8 @@ class _Render:
             settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
         )
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
-        self._samples = settings.samples
+        # A picture of what is black needs its depth alone.
+        self._samples = settings.samples if self._integrand.shows else 1
         if self._quadrature:
             self._samples = max(1, self._samples // QUADRATURE_SHARE)
         self._tolerance = 0.0
@@ -270,8 +280,9 @@ class _Render:
         return outcome, ended
 
     def _show(self, x0: int, y0: int, x1: int, y1: int) -> None:
-        self._film.compose(x0, y0, x1, y1)
-        self._sink.tile(self._film, x0, y0, x1, y1)
+        if self._sink.watched:
+            self._film.compose(x0, y0, x1, y1)
+            self._sink.tile(self._film, x0, y0, x1, y1)
 
     def _show_all(self) -> None:
         self._show(0, 0, *self._camera.region_size)

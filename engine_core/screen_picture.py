@@ -43,8 +43,11 @@ DEFENSIVE = 0.1
 CHANCES = 1 / 16, 1 / 2
 """The least with which a pixel is sampled at all: in regions 32 pixels wide or more, and where they are small."""
 
-DEAR = 4.0
+DEAR = 8.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
+
+MOST_DEAR = 8
+"""What chances are divided by at most."""
 
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
@@ -77,7 +80,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
-        self._split, self._alone_cost = by.split, max(1.0, (1 + by.split) / (1 + SHADOW_RAYS))
+        self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
         if by.alone is by.sampled:
             self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
@@ -189,7 +192,7 @@ class ScreenPicture:
         )
         self._prepare(2)
         # Dear samples are fewer.
-        dear = float(np.clip(self._cost / DEAR, 1, 8))
+        dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
         pilot = evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served
         self._count = np.zeros((height, width), np.int32)
         self._count[pilot] = 1

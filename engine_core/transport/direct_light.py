@@ -98,6 +98,7 @@ class DirectLight:
     only_points : no light has a size, and no fog glows. channels, transparent, sees : as in `CameraStage`.
     media : the fogs of the scene, None for none.
     frame, shader, surfaces, stage, shadows : what else it is made of.
+    reflects : whether light off any surface may be seen. shows : whether anything but depth may be.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
@@ -148,6 +149,10 @@ class DirectLight:
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
         self._one_material = len(materials) == 1
+        used = np.unique(triangles.material)
+        self.reflects = len(self.lights) > 0 and not (shader.lambertian and not self._reflectance[:, used].any())
+        glows = self.media is not None and (self.media.emits or transparent)
+        self.shows = bool(self.reflects or self.sees or glows or self.transparent or normals)
 
     # -- choosing among lights ---------------------------------------------------------------------
 

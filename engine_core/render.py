@@ -160,6 +160,10 @@ class _Render:
             self._split,
             settings.seed,
         )
+        # A lens is two dimensions more, which no polynomial over the screen covers.
+        self._parts_done = (
+            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
+        )
         self._part_points = [
             staged_points(
                 "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
@@ -170,13 +174,10 @@ class _Render:
             )
             for number, part in enumerate(self._parts)
         ]
-        # A lens is two dimensions more, which no polynomial over the screen covers.
-        self._parts_done = (
-            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
-        )
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
         # A picture of what is black needs its depth alone.
-        self._samples = settings.samples if self._integrand.shows else 1
+        sampled = self._integrand.shows or (self._parts and not self._parts_done)
+        self._samples = settings.samples if sampled else 1
         if self._quadrature:
             self._samples = max(1, self._samples // QUADRATURE_SHARE)
         self._tolerance = 0.0

@@ -40,8 +40,8 @@ LOG_BLOCK = 3
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
-CHANCES = 1 / 16, 1 / 2
-"""The least with which a pixel is sampled at all: in regions 32 pixels wide or more, and where they are small."""
+CHANCE = 1 / 16
+"""The least with which a pixel is sampled at all."""
 
 DEAR = 8.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
@@ -138,7 +138,7 @@ class ScreenPicture:
         density = neighbourly(leaves.density, leaves, tree.store.count)
         inside = np.zeros(len(leaves))
         if tree.store.spread is not None:
-            inside = tree.store.spread.take(leaves.nodes) @ weights
+            inside = neighbourly(tree.store.spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
@@ -147,7 +147,7 @@ class ScreenPicture:
         hopeless = leaves.density**2 > BEYOND_HOPE * np.sqrt(variance).sum(axis=1) ** 2
         log = leaves.size.astype(np.int64) - BIN
         hopeless &= (log.sum(axis=0) == 0) & (leaves.density > 0)
-        self._deviation = np.hypot(density, inside).astype(np.float32)
+        self._deviation, self._inside = density.astype(np.float32), inside.astype(np.float32)
         self._deviation_of_f = np.hypot(np.sqrt(variance).sum(axis=1), inside).astype(np.float32)
         self._start = (leaves.start >> BIN).astype(np.int32)
         self._per_pixel = np.ldexp(1.0, -log).astype(np.float32)
@@ -215,6 +215,10 @@ class ScreenPicture:
         ]
         map_(few, chunks)
         deviation = learned_by_blocks(found, pilot, said)
+        if served.any():
+            # What a node says of its own noise is known: few samples would miss what is rare in it.
+            own = self._inside.take(self._region[served])
+            deviation[served] = np.hypot(deviation[served], own)
         if not served.all():
             deviation[~served] = learned_by_blocks(found, ~served, np.ones_like(said))[~served]
         pilot |= ~served
@@ -223,12 +227,8 @@ class ScreenPicture:
         # Where a sample is cheaper, more of them are worth it.
         cheap = np.sqrt(self._cost / cost)
         budget /= float((deviation * cheap * cost).sum() / max((deviation * cheap).sum(), 1e-300))
-        due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCES[0] / dear)
+        due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCE / dear)
         due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
-        if served.any():
-            # Where regions are small there is something to be missed.
-            least = np.clip(2 * self._per_pixel.max(axis=0), *CHANCES) / dear
-            chance[served] = np.maximum(chance[served], least.take(self._region[served]))
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
         self._chance = np.where(pilot, 1, chance).astype(np.float32)
         due = np.where(kept, due, 0)

@@ -145,7 +145,11 @@ class ScatteredAlongRay(Scattered):
             if u is None:
                 rough = pieces.value(lane, edge)
                 rough *= (0.5 * (high - low)).astype(np.float32)
-                error = np.sqrt(_sums(lane, rough * rough, len(lanes)))
+                error = _sums(lane, rough * rough, len(lanes))
+                # What is one node long here may lie between nodes nearby, where the checks alone find it.
+                lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
+                error += pieces.whole**2 * (lone / (nodes * CHECKS))
+                error = np.sqrt(error)
             else:
                 at = low + (high - low) * u[0].take(lane)
                 change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)

@@ -15,6 +15,7 @@ from .integration.integrand import StagedIntegrand
 from .integration.integrated import Integrated
 from .scene import Scene
 from .settings import Settings
+from .transport.around_light import AroundLight, Block, blocks
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
@@ -65,6 +66,7 @@ class OverScreen:
     rays : shadow rays that either takes, about.
     alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
+    elsewhere : (W, H) bool, pixels that another part takes; None for none.
     """
 
     at_nodes: StagedIntegrand
@@ -74,6 +76,19 @@ class OverScreen:
     alone: StagedIntegrand
     split: int
     outlines: Callable[[Region, Map], np.ndarray]
+    elsewhere: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AroundLights:
+    """Fog in the pixels about lights that the camera sees: that of the light itself, and that of all others.
+
+    blocks : of each light. own, others : integrands for each block.
+    """
+
+    blocks: list[Block]
+    own: list[StagedIntegrand]
+    others: list[list[StagedIntegrand]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +97,22 @@ class Part:
 
     name, shows : for people; and which pass it belongs to (`image.film.VOLUME` or `LASER`).
     plain : a sample is one point of all its dimensions. split : of the rest for each camera ray.
-    by : what serves it better; None if nothing does.
+    by : what serves it better.
     """
 
     name: str
     shows: str
     plain: StagedIntegrand
     split: int
-    by: OverScreen | Seen | None
+    by: OverScreen | Seen | AroundLights
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
         integrands = [self.plain]
         if isinstance(self.by, OverScreen):
             integrands += [self.by.at_nodes, self.by.sampled, self.by.alone]
+        elif isinstance(self.by, AroundLights):
+            integrands += [*self.by.own, *(other for others in self.by.others for other in others)]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
         return sum(different.values(), Counter())
 
@@ -130,13 +147,17 @@ def parts_of(
 
 
 def _by_net(
-    integrand: StagedIntegrand, rays: int, settings: Settings, outlines: Callable[[Region, Map], np.ndarray]
+    integrand: StagedIntegrand,
+    rays: int,
+    settings: Settings,
+    outlines: Callable[[Region, Map], np.ndarray],
+    elsewhere: np.ndarray | None = None,
 ) -> OverScreen:
     """rays : shadow rays of a point."""
     # The net's own error falls as 1 / points, and should stay below that of all else.
     points = int(np.clip(1 << int(np.log2(settings.samples) + 4), POINTS, 1024))
     inside = Integrated(integrand, points, settings.seed)
-    return OverScreen(inside, None, inside, rays * points, integrand, SPLIT, outlines)
+    return OverScreen(inside, None, inside, rays * points, integrand, SPLIT, outlines, elsewhere)
 
 
 def _of_fog(
@@ -145,18 +166,38 @@ def _of_fog(
     def outlines(region: Region, map_: Map) -> np.ndarray:
         return silhouettes(scattering.rays, scattering.surfaces, region, map_)
 
-    parts, rest = [], scattering.sized
-    bare = scattering.sizeless
+    def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
+        """Of lights of all kinds: whole rays of those without size, points of the others."""
+        found: list[StagedIntegrand] = []
+        if (of_bare := np.intersect1d(lights, bare)).size:
+            found.append(ScatteredAlongRay(scattering, of_bare, check))
+        if (of_rest := np.intersect1d(lights, rest)).size:
+            found.append(ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check))
+        return found
+
+    parts, rest, elsewhere = [], scattering.sized, None
+    bare, choice = scattering.sizeless, None
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
+    every = np.union1d(bare, rest)
+    if settings.integrator == "control_variates" and scattering.screen_dimensions == 2 and len(every) <= MOST_BARE:
+        found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
+        if found:
+            own = [AroundLight(integrands(every[every == b.light])[0], b.centre) for b in found]
+            others = [integrands(every[every != b.light]) for b in found]
+            parts.append(Part("fog around lights", VOLUME, own[0], 1, AroundLights(found, own, others)))
+        else:
+            elsewhere = None
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check)
-        by = OverScreen(whole, AlongRay(whole.shadow_rays), whole, whole.shadow_rays, whole, 1, outlines)
+        by = OverScreen(
+            whole, AlongRay(whole.shadow_rays), whole, whole.shadow_rays, whole, 1, outlines, elsewhere
+        )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
         light = ScatteredLight(scattering, rest, choice, check)
-        by = _by_net(light, 1 if choice is not None else len(rest), settings, outlines)
+        by = _by_net(light, 1 if choice is not None else len(rest), settings, outlines, elsewhere)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 

@@ -22,7 +22,7 @@ from .integration.point_sets import PointSet, SobolPoints, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
-from .parts import Part, Seen, cell_of, parts_of
+from .parts import AroundLights, Part, Seen, cell_of, parts_of
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
@@ -37,6 +37,9 @@ PREPARED_SAMPLES = 1024
 
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
+
+CORE_SAMPLES, MOST_SAMPLES = 64, 4096
+"""Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
 
 SEEN_ROWS = 16
 """Of the picture, whose beams are drawn at once."""
@@ -298,8 +301,9 @@ class _Render:
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
             if isinstance(part.by, Seen):
-                ended = self._see_part(pool, part, layer)
-                stages: dict[str, float] = {}
+                ended, stages = self._see_part(pool, part, layer), {}
+            elif isinstance(part.by, AroundLights):
+                ended, stages = self._around_lights(pool, part, layer), {}
             else:
                 ended, stages = self._build_part(pool, part, layer)
             stages["in all"] = time.perf_counter() - begin
@@ -344,6 +348,40 @@ class _Render:
         if not ended:
             outcome.result()
             self._integrals[part.name] = "seen by camera rays alone"
+            self._show_all()
+        return ended
+
+    def _around_lights(self, pool: Executor, part: Part, layer: Layer) -> str | None:
+        """Pixels about lights in the picture, each integrated by itself."""
+        by, settings = part.by, self._settings
+        x0, y0 = self._camera.region[:2]
+        close = int(np.clip(CORE_SAMPLES * settings.samples, 16 * CORE_SAMPLES, MOST_SAMPLES))
+        work = [
+            (integrand, block, block.core == core, n)
+            for block, own, others in zip(by.blocks, by.own, by.others, strict=True)
+            for integrand in (own, *others)
+            for core, n in ((True, close if integrand is own else close // 16), (False, close // 16))
+        ]
+        adding = Lock()
+
+        def sample(number: int) -> None:
+            integrand, block, which, n = work[number]
+            x, y = block.x[which], block.y[which]
+            pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._camera.region))
+            points = staged_points("sobol", 2, integrand.rest_dimensions, 1, settings.seed + 5 + number)
+            for group in points:
+                group.prepare(n)
+            sums = sum_samples(integrand, pixels, pixels.key(), points, 0, n, 1, settings.batch_size)
+            with adding:
+                layer.radiance[y - y0, x - x0] += np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
+                layer.sample_count[y - y0, x - x0] += n
+
+        outcome, ended = self._drive(
+            pool, lambda map_, _: map_(sample, range(len(work))), "Sampling around lights"
+        )
+        if not ended:
+            outcome.result()
+            self._integrals[part.name] = f"sampled around {len(by.blocks)}"
             self._show_all()
         return ended
 

@@ -80,6 +80,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
+        self._elsewhere = by.elsewhere
         self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
         if by.alone is by.sampled:
             self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
@@ -108,6 +109,8 @@ class ScreenPicture:
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
         # Alone, polynomials must serve all pixels.
         outlines = np.zeros(bins, bool) if alone else self._outlines(self._frame, map_)
+        if self._elsewhere is not None:
+            outlines |= self._elsewhere
         if log_edge is not None and not outlines.all():
             tree = RegionTree(bins, 2, log_edge, evaluator, False, outlines)
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
@@ -196,7 +199,8 @@ class ScreenPicture:
         pilot = evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served
         self._count = np.zeros((height, width), np.int32)
         self._count[pilot] = 1
-        self._count[~served] = 2
+        alone = ~served if self._elsewhere is None else ~served & ~self._elsewhere.T
+        self._count[alone] = 2
         found = np.zeros((height, width), np.float32)
 
         def few(chunk: tuple[int, np.ndarray]) -> None:
@@ -210,7 +214,7 @@ class ScreenPicture:
 
         chunks = [
             (n, part)
-            for n, which in ((1, pilot), (2, ~served))
+            for n, which in ((1, pilot), (2, alone))
             for part in self._chunks(np.flatnonzero(which), n)
         ]
         map_(few, chunks)
@@ -220,7 +224,8 @@ class ScreenPicture:
             own = self._inside.take(self._region[served])
             deviation[served] = np.hypot(deviation[served], own)
         if not served.all():
-            deviation[~served] = learned_by_blocks(found, ~served, np.ones_like(said))[~served]
+            deviation[~served] = 0
+            deviation[alone] = learned_by_blocks(found, alone, np.ones_like(said))[alone]
         pilot |= ~served
         cost = np.where(served, self._cost, self._alone_cost)
         budget = self._left - float((self._count * cost).sum())
@@ -232,7 +237,7 @@ class ScreenPicture:
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
         self._chance = np.where(pilot, 1, chance).astype(np.float32)
         due = np.where(kept, due, 0)
-        due = np.maximum(due, self._count)
+        due = np.where(served | alone, np.maximum(due, self._count), 0)
         self._due = due.astype(np.int32)
         self._deviation_learned = deviation
         self._prepare(int(due.max()))
@@ -240,7 +245,7 @@ class ScreenPicture:
         self._work = [
             (n, part)
             for n in np.unique(due[more])[::-1]
-            for which in (served, ~served)
+            for which in (served, alone)
             for part in self._chunks(np.flatnonzero((due == n) & more & which), int(n))
         ]
         self.seconds["allocation"] = perf_counter() - began

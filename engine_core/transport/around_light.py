@@ -15,6 +15,8 @@ import numpy as np
 
 from ..integration.integrand import StagedIntegrand
 from .camera_hits import Pixels
+from .camera_rays import CameraRays
+from .light_samples import SceneLights
 
 HALF_WIDTH = 6
 """Of the block about a light's image, in pixels."""
@@ -22,8 +24,50 @@ HALF_WIDTH = 6
 CORE = 2
 """Half the width of what is close to it."""
 
-CORE_SAMPLES, OTHER_SAMPLES = 2048, 128
-"""Of each pixel at most; fewer of a picture of fewer samples."""
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The pixels about a light's image that are nearer to it than to that of any other light.
+
+    light : its number. centre : (2,) of its image. x, y : (B,) pixels of the whole frame.
+    core : (B,) bool, which are close to it.
+    """
+
+    light: int
+    centre: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    core: np.ndarray
+
+
+def blocks(
+    rays: CameraRays, lights: SceneLights, numbers: np.ndarray, region: tuple[int, int, int, int]
+) -> tuple[list[Block], np.ndarray]:
+    """The blocks of lights ``numbers`` in a region (x0, y0, x1, y1), and (W, H) bool, pixels of any."""
+    x0, y0, x1, y1 = region
+    owner, nearest = np.full((x1 - x0, y1 - y0), -1), np.full((x1 - x0, y1 - y0), np.inf)
+    numbers = numbers[np.isfinite(lights.reach[numbers])]
+    image, depth = rays.image_of(lights.centre[:, numbers])
+    seen = (depth > rays.clip_start) & np.isfinite(image).all(axis=0)
+    seen &= (np.abs(image) < 1e9).all(axis=0)
+    for k in np.flatnonzero(seen):
+        low = np.floor(image[:, k]).astype(np.int64) - HALF_WIDTH
+        xs, ys = (
+            np.arange(max(lo, a), min(lo + 2 * HALF_WIDTH + 1, b))
+            for lo, a, b in zip(low, (x0, y0), (x1, y1), strict=True)
+        )
+        if not (xs.size and ys.size):
+            continue
+        at = np.ix_(xs - x0, ys - y0)
+        distance = np.hypot(xs[:, None] + 0.5 - image[0, k], ys + 0.5 - image[1, k])
+        closer = distance < nearest[at]
+        nearest[at] = np.where(closer, distance, nearest[at])
+        owner[at] = np.where(closer, k, owner[at])
+    found = []
+    for k in np.unique(owner[owner >= 0]):
+        x, y = np.nonzero(owner == k)
+        core = nearest[x, y] < CORE + 0.5
+        found.append(Block(int(numbers[k]), image[:, k], x + x0, y + y0, core))
+    return found, owner >= 0
 
 
 @dataclass(eq=False)

@@ -173,7 +173,9 @@ class SingleScattering:
         passed = np.ones((3, n), np.float32)
         for crossing in range(self._crossings + 1):
             along = directions if len(directions) == 1 else directions.take(ray, axis=0)
-            points, distance = self.surfaces.first_hit(here, along, (self.rays.reach - start).astype(np.float32))
+            points, distance = self.surfaces.first_hit(
+                here, along, (self.rays.reach - start).astype(np.float32)
+            )
             hit = np.arange(len(ray)) if points.lane is None else points.lane
             end = np.full(len(ray), self.rays.reach)
             end[hit] = start.take(hit) + distance
@@ -182,7 +184,9 @@ class SingleScattering:
             else:
                 layers.first[:] = end
             layers.reach[ray] = end
-            viewer = np.broadcast_to(-(along if len(along) == 1 else along.take(hit, axis=0)).T, (3, len(hit)))
+            viewer = np.broadcast_to(
+                -(along if len(along) == 1 else along.take(hit, axis=0)).T, (3, len(hit))
+            )
             passed = take(passed, hit)
             for rows, terms in self._shader.terms(points, viewer, False):
                 passed[:, slice(None) if rows is None else rows] *= terms.transparency
@@ -236,7 +240,9 @@ class SingleScattering:
         )
         place, direction = np.zeros((7, n), np.float32), np.zeros((3, n), np.float32)
         place[:, found.reshape(-1)], direction[:, found.reshape(-1)] = where
-        return FogChoice(lights, fog_clusters(lights, type(where)(place, direction).reshape(*found.shape), found, between))
+        return FogChoice(
+            lights, fog_clusters(lights, type(where)(place, direction).reshape(*found.shape), found, between)
+        )
 
     @property
     def thinnest(self) -> np.ndarray:
@@ -415,7 +421,9 @@ class ScatteredLight(Scattered):
             ray = ray.take(row)
         else:
             place = self._segment(rays, ray, None, u[0][:, None])
-            light, of_light, w = self._choice.choose(self._where(rays, ray, place.row), self._cells(rays, ray), u[3][:, None])
+            light, of_light, w = self._choice.choose(
+                self._where(rays, ray, place.row), self._cells(rays, ray), u[3][:, None]
+            )
             place.chance *= of_light
             which = np.argsort(light, kind="stable")
             ray, light, w, place = ray.take(which), light.take(which), w.take(which), place.take(which)
@@ -423,7 +431,9 @@ class ScatteredLight(Scattered):
         for t, density in self._distances(rays, ray, light, place):
             density *= place.chance[:, None]
             each = (np.repeat(x, split) for x in (ray, light, place.row))
-            parts.append(self._arriving(rays, *each, t.reshape(-1), density.reshape(-1), take(u[1:3], which), w))
+            parts.append(
+                self._arriving(rays, *each, t.reshape(-1), density.reshape(-1), take(u[1:3], which), w)
+            )
         if len(parts) == 1:
             rows, values = parts[0]
             return which.take(rows), values
@@ -442,9 +452,7 @@ class ScatteredLight(Scattered):
     def _cells(rays: FogRays, ray: np.ndarray) -> np.ndarray | None:
         return None if rays.cell is None else rays.cell.take(ray)
 
-    def _segment(
-        self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray
-    ) -> _Places:
+    def _segment(self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray) -> _Places:
         """A segment of each ray (P,), for lights (P,) or whichever, by u (P, S); (P, 1) if there are several."""
         row = rays.first.take(ray)
         if len(rays.media.ray) == len(rays):
@@ -607,7 +615,9 @@ class ScatteredLight(Scattered):
         lit = np.flatnonzero(passed.any(axis=0))
         if lit.size < len(ray):
             ray, light, row, mixture, w = (x.take(lit) for x in (ray, light, row, mixture, w))
-            direction, position, to_light, passed = (take(x, lit) for x in (direction, position, to_light, passed))
+            direction, position, to_light, passed = (
+                take(x, lit) for x in (direction, position, to_light, passed)
+            )
             at_infinity, is_mesh = (x if np.ndim(x) == 0 else x.take(lit) for x in (at_infinity, is_mesh))
             number = None if number is None else light
         less, more = phase.half_angle(to_light * inverse_length(to_light), direction)
@@ -623,18 +633,24 @@ class ScatteredLight(Scattered):
         scattered = take(scattered, arrive)
         if part is not None:
             scattered *= part
-        origins, directions = (np.ascontiguousarray(take(x, arrive).T, np.float32) for x in (position, to_light))
+        origins, directions = (
+            np.ascontiguousarray(take(x, arrive).T, np.float32) for x in (position, to_light)
+        )
         reach = np.where(np.broadcast_to(at_infinity, len(ray)).take(arrive), np.inf, 1)
         depth = fog.optical_depth(origins, directions, reach, media.inside.take(row.take(arrive)))
         scattered *= np.exp(-depth)
         return lit.take(arrive), scattered
 
-    def _passing(self, position, to_light, at_infinity, is_mesh, light) -> tuple[np.ndarray, np.ndarray | None]:
+    def _passing(
+        self, position, to_light, at_infinity, is_mesh, light
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of shadow rays arrive, and what part (3, J) surfaces leave of them, None for all."""
         scattering = self._scattering
         casts = scattering.lights.casts_shadow.take(light)
         rows = np.arange(len(light)) if casts.all() else np.flatnonzero(casts)
-        origins, directions = (np.ascontiguousarray(take(x, rows).T, np.float32) for x in (position, to_light))
+        origins, directions = (
+            np.ascontiguousarray(take(x, rows).T, np.float32) for x in (position, to_light)
+        )
         reach = np.where(at_infinity, FAR, np.where(is_mesh, SHORTFALL, 1)).astype(np.float32)
         reach = float(reach) if reach.ndim == 0 else reach.take(rows)
         arrive, part, crossings = scattering.shadows.passing(origins, directions, reach)

@@ -21,7 +21,7 @@ LONGEST = 69.07755278982137
 """Optical depth of what is still looked at, -log(1e-30)."""
 
 _NEAREST = 1e-7
-"""The distance from the ray, as a part of the segment's range, below which a light is taken to be no nearer."""
+"""Distance of a light from the ray, as a part of the segment's range: none is taken to be nearer."""
 
 
 class DistanceMap(Protocol):
@@ -40,7 +40,7 @@ class DistanceMap(Protocol):
 
 
 def within_depth(sigma: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Lengths (N,), which may be infinite, up to where a fog of extinction ``sigma`` (N,) lets light come from.
+    """Lengths (N,), which may be infinite, up to where fog of extinction ``sigma`` (N,) lets light come from.
 
     What scatters has an extinction, so that all results are finite where it is not 0.
     """
@@ -78,7 +78,7 @@ class EquiAngular:
         return np.clip(t, 0, self._length)
 
     def steps(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places (count + 1, N) or (count + 1, N, 1) float32, about right, at even steps of u: from the foot, and from the start."""
+        """Places (count + 1, N) or (count + 1, N, 1) float32 at even steps of u, about: from the foot, from the start."""
         root = np.sqrt(self._square)
         cos, sin = (x.astype(np.float32) for x in (self.distance / root, -self._foot / root))
         step = (self._angle / count).astype(np.float32)
@@ -147,7 +147,7 @@ class Tabulated:
     """
 
     def __init__(self, inner: EquiAngular, factor: np.ndarray) -> None:
-        """factor : (K, N) or (K, N, 1) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0, the largest about 1."""
+        """factor : (K, N) or (K, N, 1) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0, largest about 1."""
         self._inner = inner
         steps = len(factor) - 1
         # Where a factor vanishes, a little remains, since it is only known at the steps.

@@ -40,7 +40,7 @@ SHORT = 1 - 1e-4
 """Part of the way from a light to a point that must be free: then begins the surface that the point is on."""
 
 _NEAREST = 1e-9
-"""Distance of a light from the ray, as a part of the segment's range, below which it is taken to be no nearer."""
+"""Distance of a light from the ray, as a part of the segment's range: none is taken to be nearer."""
 
 _NEAR = 256.0
 """How far lights may be, in the frame's units, for rays to begin there: float32 has them end at the point."""
@@ -488,8 +488,8 @@ def _reached(low, high, distance, sigma, closed) -> np.ndarray:
 def _within_cones(lights, foot, direction, low, high) -> tuple[np.ndarray, ...]:
     """Segments (L, K) clipped to the cones of spots, and the stretches of full light in these.
 
-    A place is on the cone where z^2 = cos^2 |v|^2, with v the vector from the light and z along its axis, which
-    is quadratic in x. A cone of at most a half space is convex: what is in it is in one piece.
+    A place is on the cone where z^2 = cos^2 |v|^2, with v the vector from the light and z along its axis,
+    which is quadratic in x. A cone of at most a half space is convex: what is in it is in one piece.
     """
     v0 = -np.einsum("ijl,jlk->ilk", lights.axes, foot)
     v1 = -np.einsum("ijl,jlk->ilk", lights.axes, np.broadcast_to(direction, foot.shape))

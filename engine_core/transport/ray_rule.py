@@ -22,7 +22,7 @@ from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, Lanes, Segment
 from .single_scattering import FogRays, Scattered, SingleScattering
 
 NODES, NODES_OF_SPOTS = 17, 17
-"""Where visibility is asked for in a lane: what is thinner than a step may be missed, in a spot's cone soonest."""
+"""Where visibility is asked for in a lane: what is thinner than a step may be missed, first by spots."""
 
 BISECTIONS = 3
 """Of the step in which a shadow has its edge."""
@@ -252,7 +252,7 @@ class _Quadrature:
         self._integrals = (series.T @ higher).astype(np.float32)
 
     def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,); or at s (J, X), (..., J, X)."""
+        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,), or (J, X)."""
         factor = np.tensordot(self._values, _legendre(s.astype(np.float32), len(self.at)), 1)
         return np.einsum("gcqx,qx->gcx" if s.ndim == 1 else "gcqx,qjx->gcjx", values, factor)
 

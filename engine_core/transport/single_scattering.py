@@ -252,7 +252,7 @@ class SingleScattering:
 
 @dataclass(eq=False)
 class _Layers:
-    """How far N camera rays get: to the ``first`` surface (N,), and in the end (N,), in lengths of the direction.
+    """How far N camera rays get, in lengths of the direction: to the ``first`` surface (N,), and in the end (N,).
 
     behind : of each further layer the rays (R,), start and end (R,) there, and what reaches it (3, R).
     """
@@ -300,7 +300,7 @@ def _taken(media: RayMedia, rows: np.ndarray) -> RayMedia:
 
 @dataclass(eq=False)
 class _Places:
-    """P segments ``row`` (P,), chosen with ``chance`` (P,), and what that has left of their dimension, u (P, S)."""
+    """P segments ``row`` (P,), chosen with ``chance`` (P,), and what that left of their dimension, u (P, S)."""
 
     row: np.ndarray
     u: np.ndarray
@@ -322,7 +322,7 @@ def _run(lane: np.ndarray) -> int:
 def _in_cone(
     apex: np.ndarray, axis: np.ndarray, cos: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where (P,) rays (3, P) are in cones of at most a half space; the first is larger if never."""
+    """From where to where (P,) rays (3, P) are in cones of a half space at most; the first is larger if never."""
     vector = apex - origin
     foot = dot(vector, direction)
     slope = dot(axis, direction)
@@ -380,7 +380,7 @@ class Scattered:
 
 
 class ScatteredLight(Scattered):
-    """Light of any lights, one point of each camera ray and one of each light (or of one of many) at a time."""
+    """Light of any lights: one point of a camera ray, and one of each light or of one of many, at a time."""
 
     def __init__(
         self,
@@ -411,7 +411,7 @@ class ScatteredLight(Scattered):
     def _scattered(
         self, rays: FogRays, ray: np.ndarray, u: np.ndarray, split: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which (J,) of the N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
+        """Which (J,) of N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
         if self._choice is None:
             row = np.tile(np.arange(len(ray)), len(self._lights))
             light = np.repeat(self._lights, len(ray))
@@ -453,7 +453,7 @@ class ScatteredLight(Scattered):
         return None if rays.cell is None else rays.cell.take(ray)
 
     def _segment(self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray) -> _Places:
-        """A segment of each ray (P,), for lights (P,) or whichever, by u (P, S); (P, 1) if there are several."""
+        """A segment of each ray (P,), for lights (P,) or any, by u (P, S); (P, 1) if there are several."""
         row = rays.first.take(ray)
         if len(rays.media.ray) == len(rays):
             return _Places(row, u.astype(np.float64), np.ones(len(ray)))
@@ -544,7 +544,7 @@ class ScatteredLight(Scattered):
     def _lit(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray, start: np.ndarray, length: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """From where to where (P,) segments are in the cones of spots and area lights, from their start on."""
+        """From where to where (P,), from their start on, segments are in cones of spots and area lights."""
         cones = self._scattering.cones
         low, high = np.zeros(len(ray)), length
         rows = np.flatnonzero(cones.coned.take(light))

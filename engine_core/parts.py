@@ -23,7 +23,7 @@ from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen
 from .transport.lasers import Lasers
 from .transport.light_choice import CELL
-from .transport.ray_rule import AlongRay, ScatteredAlongRay
+from .transport.ray_rule import NODES, AlongRay, ScatteredAlongRay
 from .transport.shadows import Shadows
 from .transport.silhouettes import silhouettes
 from .transport.single_scattering import ScatteredLight, SingleScattering
@@ -31,9 +31,9 @@ from .transport.single_scattering import ScatteredLight, SingleScattering
 Map = Callable[[Callable, Iterable], list]
 Region = tuple[int, int, int, int]
 
-SHADOW_RAYS = 1
-"""In fog, for each of `Settings.samples` a pixel: whole rays with many of them bring far more than a sample of
-a surface does."""
+SHADOW_RAYS = 2
+"""In fog, to each light, for each of `Settings.samples`: whole rays with many bring more than a sample of a
+surface does."""
 
 MOST_BARE = 16
 """Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""
@@ -63,7 +63,7 @@ class OverScreen:
 
     at_nodes, rule : what nodes evaluate, and how they integrate it beyond the screen, None if nothing is left.
     sampled : an unbiased estimate of the same with little noise, for the residual.
-    rays : shadow rays that either takes, about.
+    rays : to each light, that either takes, about.
     alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
@@ -148,16 +148,14 @@ def parts_of(
 
 def _by_net(
     integrand: StagedIntegrand,
-    rays: int,
     settings: Settings,
     outlines: Callable[[Region, Map], np.ndarray],
     elsewhere: np.ndarray | None = None,
 ) -> OverScreen:
-    """rays : shadow rays of a point."""
     # The net's own error falls as 1 / points, and should stay below that of all else.
-    points = int(np.clip(1 << int(np.log2(settings.samples) + 4), POINTS, 1024))
+    points = int(np.clip(1 << int(np.log2(settings.samples) + 6), POINTS, 1024))
     inside = Integrated(integrand, points, settings.seed)
-    return OverScreen(inside, None, inside, rays * points, integrand, SPLIT, outlines, elsewhere)
+    return OverScreen(inside, None, inside, points, integrand, SPLIT, outlines, elsewhere)
 
 
 def _of_fog(
@@ -191,13 +189,13 @@ def _of_fog(
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check)
         by = OverScreen(
-            whole, AlongRay(whole.shadow_rays), whole, whole.shadow_rays, whole, 1, outlines, elsewhere
+            whole, AlongRay(NODES), whole, NODES, whole, 1, outlines, elsewhere
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
         light = ScatteredLight(scattering, rest, choice, check)
-        by = _by_net(light, 1 if choice is not None else len(rest), settings, outlines, elsewhere)
+        by = _by_net(light, settings, outlines, elsewhere)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 
@@ -223,11 +221,11 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, len(fog.stretches), settings, outlines)
+        by = _by_net(fog, settings, outlines)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
-        by = _by_net(lit, len(lit.stretches), settings, outlines)
+        by = _by_net(lit, settings, outlines)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

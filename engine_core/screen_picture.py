@@ -107,12 +107,13 @@ class ScreenPicture:
         worth = evaluator.cost / self._cost
         budget = total * worth * (1.0 if alone else SHARE)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
-        # Alone, polynomials must serve all pixels.
-        outlines = np.zeros(bins, bool) if alone else self._outlines(self._frame, map_)
+        # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of
+        # regions than regions; but what is sampled there is f.
+        self._outline = np.zeros(bins[::-1], bool) if alone else self._outlines(self._frame, map_).T
         if self._elsewhere is not None:
-            outlines |= self._elsewhere
-        if log_edge is not None and not outlines.all():
-            tree = RegionTree(bins, 2, log_edge, evaluator, False, outlines)
+            self._outline |= self._elsewhere.T
+        if log_edge is not None and not self._outline.all():
+            tree = RegionTree(bins, 2, log_edge, evaluator, False)
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
             self.regions, self.nodes = len(tree), tree.store.count
             self._left -= evaluator.evaluations / worth
@@ -171,18 +172,14 @@ class ScreenPicture:
         if plain.size:
             is_plain = np.zeros(len(leaves) + 1, bool)
             is_plain[plain] = True
-            self._plain_pixels = is_plain[self._region]
-        else:
-            self._plain_pixels = np.zeros((height, width), bool)
+            self._outline |= is_plain[self._region]
         del self._tree
 
     def allocate(self, map_: Map) -> None:
         """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
         began = perf_counter()
         settings, (width, height) = self._settings, self._bins
-        served = self._region >= 0
-        if served.any():
-            served &= ~self._plain_pixels
+        served = (self._region >= 0) & ~self._outline
         self._approximate = served
         # H stays on show until samples are there; from here on it is no part of a plain pixel.
         self._mean[~served] = 0

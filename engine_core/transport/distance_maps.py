@@ -78,7 +78,7 @@ class EquiAngular:
         return np.clip(t, 0, self._length)
 
     def steps(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places (count + 1, N) or (count + 1, N, 1) float32 at even steps of u, about: from the foot, from the start."""
+        """Places (count + 1, N) at even steps of u, roughly, float32: from the foot, and from the start."""
         root = np.sqrt(self._square)
         cos, sin = (x.astype(np.float32) for x in (self.distance / root, -self._foot / root))
         step = (self._angle / count).astype(np.float32)
@@ -147,7 +147,7 @@ class Tabulated:
     """
 
     def __init__(self, inner: EquiAngular, factor: np.ndarray) -> None:
-        """factor : (K, N) or (K, N, 1) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0, largest about 1."""
+        """factor : (K, N) or (K, N, 1) at u = 0, 1 / (K - 1) ... 1 of the other map; at least 0."""
         self._inner = inner
         steps = len(factor) - 1
         # Where a factor vanishes, a little remains, since it is only known at the steps.

@@ -252,7 +252,7 @@ class SingleScattering:
 
 @dataclass(eq=False)
 class _Layers:
-    """How far N camera rays get, in lengths of the direction: to the ``first`` surface (N,), and in the end (N,).
+    """How far N camera rays get, in lengths of the direction: to the ``first`` surface, and in the end.
 
     behind : of each further layer the rays (R,), start and end (R,) there, and what reaches it (3, R).
     """
@@ -300,7 +300,7 @@ def _taken(media: RayMedia, rows: np.ndarray) -> RayMedia:
 
 @dataclass(eq=False)
 class _Places:
-    """P segments ``row`` (P,), chosen with ``chance`` (P,), and what that left of their dimension, u (P, S)."""
+    """P segments ``row``, chosen with ``chance`` (P,), and what that left of their dimension, u (P, S)."""
 
     row: np.ndarray
     u: np.ndarray
@@ -322,7 +322,7 @@ def _run(lane: np.ndarray) -> int:
 def _in_cone(
     apex: np.ndarray, axis: np.ndarray, cos: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where (P,) rays (3, P) are in cones of a half space at most; the first is larger if never."""
+    """From where to where (P,) rays (3, P) are in cones of at most half of space; never if last < first."""
     vector = apex - origin
     foot = dot(vector, direction)
     slope = dot(axis, direction)

@@ -361,6 +361,7 @@ class _Render:
             for block, own, others in zip(by.blocks, by.own, by.others, strict=True)
             for integrand in (own, *others)
             for core, n in ((True, close if integrand is own else close // 16), (False, close // 16))
+            if (block.core == core).any()
         ]
         adding = Lock()
 

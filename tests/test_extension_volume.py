@@ -522,7 +522,7 @@ def test_fog_as_cycles_draws_it(cv: ModuleType, tmp_path: Path, name: str) -> No
     scene = lit(name)
     theirs, ours = (render(scene, tmp_path, engine)[..., :3] for engine in ("CYCLES", "CV_RENDER"))
     assert ours.mean(axis=(0, 1)) == pytest.approx(theirs.mean(axis=(0, 1)), rel=0.008)
-    assert np.abs(ours - theirs).mean() < 0.04 * theirs.mean()
+    assert np.abs(ours - theirs).mean() < 0.05 * theirs.mean()
 
 
 def test_passes_of_fog_and_lasers(cv: ModuleType, tmp_path: Path) -> None:

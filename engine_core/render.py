@@ -356,11 +356,13 @@ class _Render:
         by, settings = part.by, self._settings
         x0, y0 = self._camera.region[:2]
         close = int(np.clip(CORE_SAMPLES * settings.samples, 16 * CORE_SAMPLES, MOST_SAMPLES))
+        few = int(np.clip(4 * settings.samples, 16, 128))
         work = [
             (integrand, block, block.core == core, n)
             for block, own, others in zip(by.blocks, by.own, by.others, strict=True)
-            for integrand in (own, *others)
-            for core, n in ((True, close if integrand is own else close // 16), (False, close // 16))
+            for integrands, samples in (([own], (close, close // 16)), (others, (few, few)))
+            for integrand in integrands
+            for core, n in zip((True, False), samples, strict=True)
             if (block.core == core).any()
         ]
         adding = Lock()

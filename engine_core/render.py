@@ -38,7 +38,7 @@ PREPARED_SAMPLES = 1024
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
 
-CORE_SAMPLES, MOST_SAMPLES = 64, 4096
+CORE_SAMPLES, MOST_SAMPLES = 32, 2048
 """Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
 
 SEEN_ROWS = 16
@@ -355,12 +355,12 @@ class _Render:
         """Pixels about lights in the picture, each integrated by itself."""
         by, settings = part.by, self._settings
         x0, y0 = self._camera.region[:2]
-        close = int(np.clip(CORE_SAMPLES * settings.samples, 16 * CORE_SAMPLES, MOST_SAMPLES))
+        close = int(np.clip(CORE_SAMPLES * settings.samples, 8 * CORE_SAMPLES, MOST_SAMPLES))
         few = int(np.clip(4 * settings.samples, 16, 128))
         work = [
             (integrand, block, block.core == core, n)
             for block, own, others in zip(by.blocks, by.own, by.others, strict=True)
-            for integrands, samples in (([own], (close, close // 16)), (others, (few, few)))
+            for integrands, samples in (([own], (close, close // 8)), (others, (few, few)))
             for integrand in integrands
             for core, n in zip((True, False), samples, strict=True)
             if (block.core == core).any()

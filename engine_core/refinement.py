@@ -274,12 +274,15 @@ class ControlVariatePicture:
         depth = film.depth[y, x].T.ravel()
         seen = np.zeros((self._direct_light.channels - ALPHA, len(new)))
 
-        def after_batch(some: np.ndarray, hits: CameraHits, n: int) -> None:
-            if have[some[0]] == 0:
-                depth[some] = np.minimum(hits.depth[::n], FAR)
+        def after_batch(some: np.ndarray, samples: np.ndarray, hits: CameraHits) -> None:
+            begin = np.cumsum(samples) - samples
+            first = np.flatnonzero(have.take(some) == 0)
+            depth[some.take(first)] = np.minimum(hits.depth.take(begin.take(first)), FAR)
             if self._every:
-                seen[:, some] += hits.values[ALPHA:].reshape(len(seen), len(some), n).sum(axis=2)
-            done(len(some) * n)
+                sums = np.add.reduceat(hits.values[ALPHA:], begin, axis=1, dtype=np.float64)
+                for row, values in zip(seen, sums, strict=True):
+                    np.add.at(row, some, values)
+            done(len(hits.depth))
 
         # The picture's arrays, and this tile's part of them.
         ours = (self._residual, self._spread.half, self._spread.twice)

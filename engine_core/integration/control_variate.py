@@ -8,6 +8,7 @@ in one tile, and what is listed (pairs of region and bin) is listed for a tile a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,23 @@ class Pairs:
 
     region: np.ndarray
     first: np.ndarray
+
+
+TOGETHER = 8
+"""Samples of a region whose polynomials are evaluated together."""
+
+
+class Footprints(NamedTuple):
+    """F sets of bins, equally many along each dimension, and the regions over each.
+
+    regions : (R,) footprint after footprint. begin : (F,) where each one's regions begin.
+    logs : log2 of the bins along each dimension. slots : (F, S) the bins, the last dimension fastest.
+    """
+
+    regions: np.ndarray
+    begin: np.ndarray
+    logs: tuple[int, ...]
+    slots: np.ndarray
 
 
 class TileOfRegions:
@@ -65,23 +83,24 @@ class TileOfRegions:
         self._within = (size[:bins] <= BIN).all(axis=1)
         self._rows: np.ndarray | None = None
 
-    def _groups(self) -> list[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
-        """Regions that cover equally many bins along each dimension: (regions, logs, bins (n, s...))."""
+    def _groups(self) -> list[Footprints]:
+        """Regions that cover equally many bins along each dimension, gathered by the bins that they cover."""
         code = np.zeros(len(self.regions), np.int64)
         for logs in self._log_bins:
             code = code * 64 + logs
         strides = np.cumprod((1, *self.shape[:0:-1]))[::-1]
+        corner = self.start_bin.T @ strides
         groups = []
         for value in np.unique(code):
             chosen = np.flatnonzero(code == value)
             logs = tuple(int(n) for n in self._log_bins[:, chosen[0]])
-            slots = np.zeros((len(chosen),) + (1,) * self._bins, np.int64)
-            for d, (log, stride) in enumerate(zip(logs, strides, strict=True)):
-                along = (self.start_bin[d, chosen][:, None] + np.arange(1 << log)) * stride
-                slots = slots + along.reshape(
-                    len(chosen), *(1 << log if i == d else 1 for i in range(self._bins))
-                )
-            groups.append((chosen, logs, slots.reshape(len(chosen), -1)))
+            # Different in the rest alone, they lie over the same bins.
+            chosen = chosen[np.argsort(corner.take(chosen), kind="stable")]
+            begin = np.flatnonzero(np.diff(corner.take(chosen), prepend=-1))
+            slots = corner.take(chosen.take(begin))[:, None]
+            for log, stride in zip(logs, strides, strict=True):
+                slots = (slots[:, :, None] + np.arange(1 << log) * stride).reshape(len(begin), -1)
+            groups.append(Footprints(chosen, begin, logs, slots))
         return groups
 
     def means(self, spread: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -95,27 +114,27 @@ class TileOfRegions:
         # Of each region, as parts of its bins: error, its square, f and its square; and h without the rest.
         constant = np.empty((2 + 2 * channels, len(self.regions)))
         constant[0], constant[1] = self.density(spread), np.square(self.regions.density)
-        nodes = np.empty((channels, over_bins, len(self.regions)))
+        nodes = np.empty((channels, len(self.regions), over_bins))
         weights = face_weights(self._dimensions)
         for c, values in enumerate(self._values):
             v = values.take(self.regions.nodes).astype(np.float64, copy=False)
             constant[2 + c], constant[2 + channels + c] = v @ weights, np.square(v) @ weights
-            nodes[c] = (v.reshape(len(v), over_bins, -1) @ over_rest).T
+            nodes[c] = (v.reshape(-1, len(over_rest)) @ over_rest).reshape(len(v), over_bins)
         constant *= self.overlap
-        nodes *= self.overlap
+        nodes *= self.overlap[:, None]
         h, sums = np.zeros((channels, total)), np.zeros((len(constant), total))
-        for chosen, logs, slots in self._groups():
-            # Regions of one size lie beside each other or, different in the rest alone, over the same bins.
-            order = np.argsort(slots[:, 0], kind="stable")
-            begin = np.flatnonzero(np.diff(slots[order, 0], prepend=-1))
-            chosen, flat = chosen[order], slots[order[begin]].ravel()
-            once = np.add.reduceat(constant.take(chosen, axis=1), begin, axis=1)
-            sums[:, flat] += np.repeat(once, slots.shape[1], axis=1)
-            v = np.add.reduceat(nodes.take(chosen, axis=2), begin, axis=2)
-            v = v.reshape(channels, *(3,) * self._bins, len(begin))
-            for log in logs:
-                v = np.moveaxis(v, 1, -1) @ bin_means(1 << log).T
-            h[:, flat] += v.reshape(channels, -1)
+        for group in self._groups():
+            flat, each = group.slots.ravel(), group.slots.shape[1]
+            once = np.add.reduceat(constant.take(group.regions, axis=1), group.begin, axis=1)
+            v = np.add.reduceat(nodes.take(group.regions, axis=1), group.begin, axis=1)
+            behind = 1
+            for log in reversed(group.logs):
+                v = bin_means(1 << log) @ v.reshape(-1, 3, behind)
+                behind <<= log
+            for row, values in zip(h, v.reshape(channels, -1), strict=True):
+                row[flat] += values
+            for row, values in zip(sums, once, strict=True):
+                row[flat] += np.repeat(values, each)
         error, left = sums[:2]
         mean, square = sums[2:].reshape(2, channels, total)
         variance = square - mean * mean
@@ -134,11 +153,24 @@ class TileOfRegions:
         total, shift = self.index.shape[1], len(self.regions).bit_length()
         key_type = np.uint32 if total << shift < 1 << 32 else np.uint64
         parts = []
-        for chosen, _, slots in self._groups():
-            key = slots.astype(key_type)
-            key <<= key_type(shift)
-            key |= chosen.astype(key_type)[:, None]
-            parts.append(key.ravel() if wanted is None else key[wanted.take(slots)])
+        for group in self._groups():
+            slots = group.slots.astype(key_type)
+            slots <<= key_type(shift)
+            footprint = np.repeat(np.arange(len(slots)), np.diff(group.begin, append=len(group.regions)))
+            if wanted is None:
+                key = slots.take(footprint, axis=0)
+                key |= group.regions.astype(key_type)[:, None]
+                parts.append(key.ravel())
+                continue
+            of_bins = wanted.take(group.slots)
+            count = of_bins.sum(axis=1)
+            # Each region beside all wanted bins of its footprint.
+            slots, first = slots[of_bins], np.cumsum(count) - count
+            count, first = count.take(footprint), first.take(footprint)
+            shifted = first - (np.cumsum(count) - count)
+            key = slots.take(np.arange(count.sum()) + np.repeat(shifted, count))
+            key |= np.repeat(group.regions.astype(key_type), count)
+            parts.append(key)
         key = np.concatenate([np.zeros(0, key_type), *parts])
         key.sort()
         first = np.searchsorted(key, np.arange(total + 1, dtype=key_type) << key_type(shift))
@@ -167,41 +199,71 @@ class TileOfRegions:
 
     def values(self, region: np.ndarray, bin_: np.ndarray, u: np.ndarray) -> np.ndarray:
         """h (C, N) at u (m, N) uniform in the overlaps of ``region`` and ``bin_`` (N,), both the tile's."""
-        m, n = u.shape
-        half = (m + 1) // 2
+        coefficients = self._coefficients()
         basis = []
-        for d in range(m):
-            t = u[d]
+        for d, t in enumerate(u):
             if d < self._bins and not self._within[d]:
                 t = t + (self._local[d].take(bin_) - self.start_bin[d].take(region))
                 t *= self._per_bin[d].take(region)
-            basis.append(lagrange(t))
-        coefficients = self._coefficients()
-        outer, inner = (_tensor(b, n, coefficients.dtype) for b in (basis[:half], basis[half:]))
-        out = np.empty((len(self._values), n), coefficients.dtype)
-        for low in range(0, n, ROWS):
-            part = slice(low, low + ROWS)
-            v = coefficients.take(region[part], axis=0)
-            v = v.reshape(len(v), outer.shape[1], -1)
-            v = np.matmul(outer[part, None, :], v).reshape(len(v), len(out), -1)
-            out[:, part] = np.matmul(v, inner[part, :, None])[:, :, 0].T
-        return out
+            basis.append(lagrange(t.astype(coefficients.dtype, copy=False)))
+        if len(region) < 4 * len(self.regions):
+            return _apart(coefficients, region, basis)
+        return _together(coefficients, region, basis)
 
     def _coefficients(self) -> np.ndarray:
-        """(R, 3^m C) node values, gathered once; channels before the last half of the dimensions."""
+        """(R, C, 3^m) node values, gathered once."""
         if self._rows is None:
-            rows = np.stack([v.take(self.regions.nodes) for v in self._values], axis=1)
-            rows = rows.reshape(len(rows), len(self._values), 3 ** ((self._dimensions + 1) // 2), -1)
-            self._rows = np.ascontiguousarray(rows.transpose(0, 2, 1, 3)).reshape(len(rows), -1)
+            self._rows = np.stack([v.take(self.regions.nodes) for v in self._values], axis=1)
         return self._rows
 
 
-def _tensor(basis: list[np.ndarray], count: int, dtype: np.dtype) -> np.ndarray:
-    """(N, 3^k) products of k bases (3, N)."""
-    out = np.ones((1, count))
+def _apart(coefficients: np.ndarray, region: np.ndarray, basis: list[np.ndarray]) -> np.ndarray:
+    """Polynomials (R, C, 3^m) of regions (N,) at bases, m of (3, N) -> (C, N); each sample by itself."""
+    count, half = len(region), len(basis) // 2
+    outer, inner = (np.ascontiguousarray(_tensor(b, count).T) for b in (basis[:half], basis[half:]))
+    out = np.empty((coefficients.shape[1], count), coefficients.dtype)
+    for low in range(0, count, ROWS):
+        part = slice(low, low + ROWS)
+        v = coefficients.take(region[part], axis=0)
+        v = np.matmul(v.reshape(len(v), -1, inner.shape[1]), inner[part, :, None])
+        v = np.matmul(v.reshape(len(v), len(out), -1), outer[part, :, None])
+        out[:, part] = v[:, :, 0].T
+    return out
+
+
+def _together(coefficients: np.ndarray, region: np.ndarray, basis: list[np.ndarray]) -> np.ndarray:
+    """As `_apart`, a few samples of a region at a time, whose node values are read once."""
+    order = np.argsort(region.astype(np.min_scalar_type(len(coefficients))), kind="stable")
+    ordered = region.take(order)
+    begin = np.flatnonzero(np.diff(ordered, prepend=-1))
+    rows = -(-np.diff(begin, append=len(region)) // TOGETHER)
+    which = np.repeat(ordered.take(begin), rows)
+    # Where each sample is among rows of equal length; what a row lacks repeats the first sample.
+    start = (np.cumsum(rows) - rows) * TOGETHER - begin
+    at = np.arange(len(region)) + np.repeat(start, np.diff(begin, append=len(region)))
+    sample = np.zeros(len(which) * TOGETHER, np.intp)
+    sample[at] = order
+    rowwise = [b.take(sample, axis=1).reshape(3, -1, TOGETHER).swapaxes(0, 1) for b in basis]
+    found = np.empty((len(which), coefficients.shape[1], TOGETHER), coefficients.dtype)
+    step = ROWS // TOGETHER // 2
+    for low in range(0, len(which), step):
+        part = slice(low, low + step)
+        t = rowwise[0][part]
+        for b in rowwise[1:]:
+            t = (t[:, :, None] * b[part, None]).reshape(len(t), -1, TOGETHER)
+        np.matmul(coefficients.take(which[part], axis=0), t, out=found[part])
+    out = np.empty((found.shape[1], len(region)), found.dtype)
+    for row, values in zip(out, found.swapaxes(0, 1), strict=True):
+        row[order] = values.ravel().take(at)
+    return out
+
+
+def _tensor(basis: list[np.ndarray], count: int) -> np.ndarray:
+    """(3^k, N) products of k bases (3, N)."""
+    out = np.ones((1, count), basis[0].dtype if basis else np.float32)
     for b in basis:
         out = (out[:, None] * b).reshape(-1, count)
-    return np.ascontiguousarray(out.T, dtype)
+    return out
 
 
 class ControlVariate:

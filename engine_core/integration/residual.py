@@ -9,7 +9,8 @@ stretched to serve again as that coordinate inside the overlap: the region is kn
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ class ResidualSampler:
         count: np.ndarray,
         chance: np.ndarray,
         twice: np.ndarray,
-        after_batch: Callable[[np.ndarray, Any, int], None] | None = None,
+        after_batch: Callable[[np.ndarray, np.ndarray, Any], None] | None = None,
         plain: np.ndarray | None = None,
         have: np.ndarray | None = None,
         before: tuple[np.ndarray, Spread] | None = None,
@@ -137,7 +138,8 @@ class ResidualSampler:
         bins : B of the integrand's, sliceable. keys : (B,) uint32. count : (B,) powers of two, or 0.
         chance : (B,) that a bin was to be sampled; its mean is divided by it.
         twice : (B,) whether a bin is sampled again, by another net: see `standard_error`.
-        after_batch : called with (bins' numbers, first stage, samples of each) of every batch.
+        after_batch : called with (bins' numbers, samples of each, first stage) of every batch; the samples
+            lie bin after bin.
         plain : (B,) bins that h does not serve: f itself is sampled there, as by any net.
         have : (B,) powers of two, or 0: samples of ``count`` that were taken before, in every bin for sure.
         before : what this function returned of those.
@@ -155,26 +157,30 @@ class ResidualSampler:
         # The means of both nets, of bins that are sampled twice.
         apart = np.where(twice & (have > 0), spread.twice, 0) / np.sqrt(2)
         means = np.stack([total + apart, total - apart])
-        kinds = [
-            (which & kind, of, net, keys_)
-            for which, net, keys_ in ((wanted, 0, keys), (wanted & twice, 1, keys ^ SECOND))
-            for kind, of in ((~plain, overlaps), (plain, None))
-        ]
-        for bins_, of, net, keys_ in kinds:
-            for chosen in _alike(np.flatnonzero(bins_), count, have):
-                n, old = int(count[chosen[0]]), int(have[chosen[0]])
-                new = n - old
-                width = max(1, self._batch // (new * self._split))
-                for low in range(0, len(chosen), width):
-                    part = chosen[low : low + width]
-                    residual, stage = self._residual(integrand, bins, keys_, tile, of, part, old, new)
-                    residual = residual.reshape(len(residual), len(part), -1)
-                    first, second = _halves(residual, means[net][:, part], old, n, self._split)
+        for of, plainly in ((overlaps, ~plain), (None, plain)):
+            chunks = [
+                Chunk(chosen, keys_, net, int(have[chosen[0]]), int(count[chosen[0]]))
+                for net, which, keys_ in ((0, wanted, keys), (1, wanted & twice, keys ^ SECOND))
+                for chosen in _alike(np.flatnonzero(which & plainly), count, have)
+            ]
+            for batch in _batches(chunks, max(1, self._batch // self._split)):
+                residual, stage = self._residual(integrand, bins, tile, of, batch)
+                low = 0
+                for chunk in batch:
+                    new, old, n, net, part = chunk.new, chunk.old, chunk.count, chunk.net, chunk.bins
+                    high = low + len(part) * new * self._split
+                    values = residual[:, low:high].reshape(len(residual), len(part), -1)
+                    first, second = _halves(values, means[net][:, part], old, n, self._split)
                     means[net][:, part] = (first + second) / 2 / chance[part]
                     if n > 1 and net == 0:
                         spread.half[:, part] = (first - second) / 2
-                    if after_batch is not None:
-                        after_batch(part, stage, new)
+                    low = high
+                if after_batch is not None:
+                    after_batch(
+                        np.concatenate([chunk.bins for chunk in batch]),
+                        np.concatenate([np.full(len(chunk.bins), chunk.new) for chunk in batch]),
+                        stage,
+                    )
         again = wanted & twice
         total[:, wanted] = means[0][:, wanted]
         total[:, again] = (means[0][:, again] + means[1][:, again]) / 2
@@ -182,39 +188,85 @@ class ResidualSampler:
         spread.twice[:, by_chance] = total[:, by_chance]
         return total, spread
 
-    def _residual(self, integrand, bins, keys, tile, overlaps, part, start, n) -> tuple[np.ndarray, Any]:
-        """Weighted f - h (C, B' * n * split) of bins ``part`` (B',), and the first stage.
+    def _residual(
+        self, integrand: StagedIntegrand, bins: Any, tile: TileOfRegions, overlaps: Overlaps | None, batch: list[Chunk]
+    ) -> tuple[np.ndarray, Any]:
+        """Weighted f - h (C, N * split) at the N points of the bins' dimensions in a batch, and the first stage.
 
-        overlaps : None for f alone. start, n : which points of the nets.
+        overlaps : None for f alone.
         """
-        screen = self._points[0].points(keys[part], start, n)
-        rest = self._points[1].points(keys[part], start * self._split, n * self._split)
+        bin_ = np.concatenate([np.repeat(chunk.bins, chunk.new) for chunk in batch])
+        screen, rest = (
+            np.concatenate([chunk.points(points, each) for chunk in batch], axis=1)
+            for points, each in zip(self._points, (1, self._split), strict=True)
+        )
+        points = len(bin_)
         if overlaps is None:
-            stage = integrand.first(bins[part], screen)
-            rest = rest.reshape(len(rest), len(part) * n * self._split)
-            f = values_at(integrand, stage, len(part) * n, None, rest)
+            stage = integrand.first(bins[bin_], screen[:, :, None])
+            f = values_at(integrand, stage, points, None, rest)
             return f[: len(tile.channels)], stage
-        bin_ = np.repeat(part, n * self._split)
-        first = screen.reshape(len(screen), -1)
+        of_samples, first = bin_, screen
         if self._split > 1:
-            first = np.repeat(first, self._split, axis=1)
-        rest = rest.reshape(len(rest), bin_.size)
+            of_samples, first = np.repeat(bin_, self._split), np.repeat(screen, self._split, axis=1)
         inside = self._covered - len(first)
         u = np.concatenate([first, rest[:inside]]).astype(np.float64, copy=False)
-        region, weight = overlaps.choose(bin_, u[len(first) if inside else 0])
-        h = tile.values(region, bin_, u)
+        region, weight = overlaps.choose(of_samples, u[len(first) if inside else 0])
+        h = tile.values(region, of_samples, u)
         place = tile.place(region, u)
         if self._split == 1:
-            screen = place[: len(screen)].reshape(len(screen), len(part), n)
-        stage = integrand.first(bins[part], screen)
+            screen = place[: len(screen)]
+        stage = integrand.first(bins[bin_], screen[:, :, None])
         at = place[len(screen) :]
         if inside < len(rest):
             at = np.concatenate([at, rest[inside:]])
-        f = values_at(integrand, stage, len(part) * n, None, at)
+        f = values_at(integrand, stage, points, None, at)
         residual = f - h if len(f) == len(h) else f[: len(h)] - h
         if weight is not None:
             residual *= weight
         return residual, stage
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Bins that go from equally many samples to equally many.
+
+    bins : (B',) numbers. keys : (B,) of all bins. net : 0, or 1 of bins that are sampled again.
+    old, count : samples before and after.
+    """
+
+    bins: np.ndarray
+    keys: np.ndarray
+    net: int
+    old: int
+    count: int
+
+    @property
+    def new(self) -> int:
+        """Samples to take in each bin."""
+        return self.count - self.old
+
+    def points(self, points: PointSet, each: int) -> np.ndarray:
+        """(D, B' * new * each) of a group that takes ``each`` points a sample."""
+        found = points.points(self.keys[self.bins], self.old * each, self.new * each)
+        return found.reshape(len(found), -1)
+
+
+def _batches(chunks: list[Chunk], most: int) -> Iterator[list[Chunk]]:
+    """The chunks cut and joined, so that each list has about ``most`` new samples in all."""
+    batch, room = [], most
+    for chunk in chunks:
+        low = 0
+        while low < len(chunk.bins):
+            high = low + max(1, room // chunk.new)
+            part = replace(chunk, bins=chunk.bins[low:high])
+            batch.append(part)
+            room -= len(part.bins) * chunk.new
+            low = high
+            if room <= chunk.new // 2:
+                yield batch
+                batch, room = [], most
+    if batch:
+        yield batch
 
 
 def _alike(bins: np.ndarray, count: np.ndarray, have: np.ndarray) -> list[np.ndarray]:

@@ -101,6 +101,18 @@ def test_nodes_hold_the_integrand(bins, dimensions):
     assert np.array_equal(tree.store.values[0].take(regions.nodes).ravel(), wanted)
 
 
+def overlapping(tile):
+    """Regions and bins (P,) that overlap."""
+    pairs = tile.pairs()
+    sizes = [np.diff(group.begin, append=len(group.regions)) for group in tile.footprints]
+    size, regions = np.concatenate(sizes), np.concatenate([group.regions for group in tile.footprints])
+    count = size.take(pairs.footprint)
+    begin = (np.cumsum(size) - size).take(pairs.footprint) - (np.cumsum(count) - count)
+    at = np.arange(count.sum()) + np.repeat(begin, count)
+    bin_ = np.repeat(np.arange(len(pairs.first) - 1), np.diff(pairs.first))
+    return regions.take(at), np.repeat(bin_, count)
+
+
 @pytest.mark.parametrize(("bins", "dimensions"), GRIDS)
 def test_h_of_bins_is_the_mean_of_h(bins, dimensions):
     tree, _ = grown(bins, dimensions)
@@ -111,17 +123,15 @@ def test_h_of_bins_is_the_mean_of_h(bins, dimensions):
         density = tile.density(None)
         mean, error, unexplained = tile.means()
         assert (unexplained >= 0).all()
-        pairs = tile.pairs()
-        count = np.diff(pairs.first)
-        bin_ = np.repeat(np.arange(len(count)), count)
-        volume = tile.overlap.take(pairs.region)
+        region, bin_ = overlapping(tile)
+        volume = tile.overlap.take(region)
         assert np.allclose(np.bincount(bin_, volume), 1, rtol=0, atol=1e-13)
-        assert np.allclose(np.bincount(bin_, volume * density.take(pairs.region)), error, atol=1e-13)
-        total = np.zeros(len(pairs.region))
+        assert np.allclose(np.bincount(bin_, volume * density.take(region)), error, atol=1e-13)
+        total = np.zeros(len(region))
         grid = np.stack(np.meshgrid(*[np.arange(2)] * dimensions, indexing="ij")).reshape(dimensions, -1)
         for at in grid.T:
             u = np.repeat(x[at][:, None], len(bin_), axis=1)
-            total += w[at].prod() * tile.values(pairs.region, bin_, u)[0]
+            total += w[at].prod() * tile.values(region, bin_, u)[0]
         assert np.allclose(np.bincount(bin_, volume * total), mean[0], rtol=1e-12)
 
 
@@ -139,14 +149,13 @@ def test_samples_inside_overlaps_are_where_h_says(bins, dimensions):
     random = np.random.default_rng(3)
     for number in range(len(variate)):
         tile = variate.tile(number)
-        pairs = tile.pairs()
-        bin_ = np.repeat(np.arange(len(pairs.first) - 1), np.diff(pairs.first))
+        region, bin_ = overlapping(tile)
         u = random.random((dimensions, len(bin_)))
-        at = tile.place(pairs.region, u)
+        at = tile.place(region, u)
         k = len(bins)
         assert (at >= 0).all() and (at <= 1).all()
         at[:k] = (at[:k] + tile.index[:, bin_]) / np.array(bins)[:, None]
-        assert np.allclose(tile.values(pairs.region, bin_, u)[0], quadratic(at), rtol=1e-12)
+        assert np.allclose(tile.values(region, bin_, u)[0], quadratic(at), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("bins", "dimensions"), [((8, 8), 2), ((8, 8), 4), ((13, 7), 3)])
@@ -156,7 +165,7 @@ def test_overlaps_are_chosen_as_often_as_their_weights_say(bins, dimensions):
     density, (_, error, _) = tile.density(None), tile.means()
     overlaps = Overlaps(tile, density, error)
     n = 1 << 12
-    several = np.argsort(np.diff(tile.pairs().first))[-3:]
+    several = np.argsort(np.bincount(overlapping(tile)[1]))[-3:]
     for bin_ in several:
         x = (np.arange(n) + 0.5) / n
         region, weight = overlaps.choose(np.full(n, bin_), x)

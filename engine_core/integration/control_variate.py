@@ -8,6 +8,7 @@ in one tile, and what is listed (pairs of region and bin) is listed for a tile a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,12 +25,12 @@ ROWS = 4096
 
 @dataclass(eq=False)
 class Pairs:
-    """P overlaps of regions and bins, bin after bin, in each bin ordered by the inner dimensions.
+    """P overlaps of footprints and bins, bin after bin.
 
-    region : (P,) of the tile's. first : (B + 1,) where each bin's pairs begin.
+    footprint : (P,) numbered through the tile's groups. first : (B + 1,) where each bin's pairs begin.
     """
 
-    region: np.ndarray
+    footprint: np.ndarray
     first: np.ndarray
 
 
@@ -83,7 +84,8 @@ class TileOfRegions:
         self._within = (size[:bins] <= BIN).all(axis=1)
         self._rows: np.ndarray | None = None
 
-    def _groups(self) -> list[Footprints]:
+    @cached_property
+    def footprints(self) -> list[Footprints]:
         """Regions that cover equally many bins along each dimension, gathered by the bins that they cover."""
         code = np.zeros(len(self.regions), np.int64)
         for logs in self._log_bins:
@@ -123,7 +125,7 @@ class TileOfRegions:
         constant *= self.overlap
         nodes *= self.overlap[:, None]
         h, sums = np.zeros((channels, total)), np.zeros((len(constant), total))
-        for group in self._groups():
+        for group in self.footprints:
             flat, each = group.slots.ravel(), group.slots.shape[1]
             once = np.add.reduceat(constant.take(group.regions, axis=1), group.begin, axis=1)
             v = np.add.reduceat(nodes.take(group.regions, axis=1), group.begin, axis=1)
@@ -149,29 +151,18 @@ class TileOfRegions:
         return np.hypot(self.regions.density, inside)
 
     def pairs(self, wanted: np.ndarray | None = None) -> Pairs:
-        """The overlaps of this tile's bins, or of those ``wanted`` (B,) bool: the others have none."""
-        total, shift = self.index.shape[1], len(self.regions).bit_length()
+        """The footprints over this tile's bins, or over those ``wanted`` (B,) bool: the others have none."""
+        total = self.index.shape[1]
+        shift = sum(len(group.begin) for group in self.footprints).bit_length()
         key_type = np.uint32 if total << shift < 1 << 32 else np.uint64
-        parts = []
-        for group in self._groups():
-            slots = group.slots.astype(key_type)
-            slots <<= key_type(shift)
-            footprint = np.repeat(np.arange(len(slots)), np.diff(group.begin, append=len(group.regions)))
-            if wanted is None:
-                key = slots.take(footprint, axis=0)
-                key |= group.regions.astype(key_type)[:, None]
-                parts.append(key.ravel())
-                continue
-            of_bins = wanted.take(group.slots)
-            count = of_bins.sum(axis=1)
-            # Each region beside all wanted bins of its footprint.
-            slots, first = slots[of_bins], np.cumsum(count) - count
-            count, first = count.take(footprint), first.take(footprint)
-            shifted = first - (np.cumsum(count) - count)
-            key = slots.take(np.arange(count.sum()) + np.repeat(shifted, count))
-            key |= np.repeat(group.regions.astype(key_type), count)
-            parts.append(key)
-        key = np.concatenate([np.zeros(0, key_type), *parts])
+        parts, low = [np.zeros(0, key_type)], 0
+        for group in self.footprints:
+            key = group.slots.astype(key_type)
+            key <<= key_type(shift)
+            key |= np.arange(low, low + len(key), dtype=key_type)[:, None]
+            parts.append(key.ravel() if wanted is None else key[wanted.take(group.slots)])
+            low += len(key)
+        key = np.concatenate(parts)
         key.sort()
         first = np.searchsorted(key, np.arange(total + 1, dtype=key_type) << key_type(shift))
         key &= key_type((1 << shift) - 1)

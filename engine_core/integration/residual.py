@@ -44,17 +44,28 @@ class Overlaps:
         wanted : (B,) bool, bins that are to be sampled; None for all.
         """
         pairs = tile.pairs(wanted)
-        self._region, self._first, self._next = pairs.region, pairs.first[:-1], pairs.first[1:]
-        count = np.diff(pairs.first)
-        self.single = not (count > 1).any()
+        self._first, self._next = pairs.first[:-1], pairs.first[1:]
+        groups, none = tile.footprints, [np.zeros(0, np.int64)]
+        self._region = np.concatenate(none + [group.regions for group in groups])
+        sizes = [np.diff(group.begin, append=len(group.regions)) for group in groups]
+        size = np.concatenate(none + sizes)
+        self._footprint, self._lowest = pairs.footprint, np.cumsum(size) - size
+        self.single = not (size > 1).any() and not (np.diff(pairs.first) > 1).any()
         if self.single:
             return
-        self._volume = tile.overlap
-        # vol (even + (1 - even) density / error), of all bins one after the other, summed; about 1 in each.
-        scale = np.divide(1 - even, error, out=np.zeros(len(error)), where=error > _NO_ERROR)
-        chance = (self._volume * density).take(pairs.region)
-        chance *= np.repeat(scale, count)
-        chance += (even * self._volume).take(pairs.region)
+        # vol (even + (1 - even) density / error): of all footprints in each bin, one bin after the other,
+        # about 1 in each; and in each footprint, where both terms are the same in all of its bins but for
+        # the error, of one region after the other.
+        volume = tile.overlap.take(self._region)
+        self._even, self._led = volume * even, volume * density.take(self._region) * (1 - even)
+        self._scale = np.divide(1, error, out=np.zeros(len(error)), where=error > _NO_ERROR)
+        self._of_even, self._running_even = _shares(self._even, self._lowest, size)
+        self._of_led, self._running_led = _shares(self._led, self._lowest, size)
+        self._last, self._halvings = self._lowest + size - 1, int(size.max(initial=1) - 1).bit_length()
+        self._volume = volume
+        chance = self._of_led.take(pairs.footprint)
+        chance *= np.repeat(self._scale, np.diff(pairs.first))
+        chance += self._of_even.take(pairs.footprint)
         running = np.concatenate([[0.0], np.cumsum(chance)])
         self._begin, self._end = running[:-1], running[1:]
         self._low = running.take(self._first)
@@ -71,8 +82,8 @@ class Overlaps:
         """
         first = self._first.take(bin_)
         if self.single:
-            return self._region.take(first), None
-        length = self._length.take(bin_)
+            return self._region.take(self._lowest.take(self._footprint.take(first))), None
+        length, scale = self._length.take(bin_), self._scale.take(bin_)
         x *= length
         x += self._low.take(bin_)
         pair = self._guide.take((x * self._steps).astype(np.int64))
@@ -82,15 +93,41 @@ class Overlaps:
         pair[further] = np.searchsorted(self._end, x[further], side="right")
         # A rounding may lead out of the bin.
         np.minimum(pair, self._next.take(bin_) - 1, out=pair)
-        region, begin = self._region.take(pair), self._begin.take(pair)
-        width = self._end.take(pair)
-        width -= begin
-        x -= begin
+        footprint = self._footprint.take(pair)
+        x -= self._begin.take(pair)
+        even, led = self._of_even.take(footprint), self._of_led.take(footprint)
+        led *= scale
+        region, last = self._lowest.take(footprint), self._last.take(footprint)
+        before = even * self._running_even.take(region)
+        before += led * self._running_led.take(region)
+        x += before
+        for step in reversed(range(self._halvings)):
+            higher = np.minimum(region + (1 << step), last)
+            start = even * self._running_even.take(higher)
+            start += led * self._running_led.take(higher)
+            np.copyto(region, higher, where=start <= x)
+            np.copyto(before, start, where=start <= x)
+        width = scale
+        width *= self._led.take(region)
+        width += self._even.take(region)
+        x -= before
         x /= width
         np.clip(x, 0.0, 1.0, out=x)
         length *= self._volume.take(region)
         length /= width
-        return region, length
+        return self._region.take(region), length
+
+
+def _shares(part: np.ndarray, lowest: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sums (F,) of ``part`` (R,) over footprints, and what fraction of its footprint's lies before each (R,).
+
+    Each footprint's fractions are summed by themselves, or the large ones' rounding would be the small ones'.
+    """
+    total = np.add.reduceat(part, lowest) if len(part) else part
+    fraction = part / np.repeat(np.where(total > 0, total, 1), size)
+    running = np.cumsum(fraction) - fraction
+    running -= np.repeat(running.take(lowest), size)
+    return total, np.maximum(running, 0)
 
 
 class ResidualSampler:

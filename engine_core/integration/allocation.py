@@ -54,7 +54,8 @@ def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray
     for axis, n in enumerate(bins):
         step = _PLASTIC ** (axis + 1) if len(bins) > 1 else _GOLDEN
         place += (np.arange(n) * step).reshape([-1 if a == axis else 1 for a in range(len(bins))])
-    return place % 1.0 < 1 / one_in
+    place -= np.floor(place)
+    return place < 1 / one_in
 
 
 def sample_counts(

@@ -11,7 +11,7 @@ import numpy as np
 from .inner_rules import InnerRule, Nodes
 from .integrand import StagedIntegrand, values_at
 from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, root_edges
-from .rules import face_weights
+from .rules import face_weights, weighted
 from .sobol import hash_combine
 
 LARGEST_ROOT = 6
@@ -168,7 +168,7 @@ def unexplained(tree: RegionTree) -> tuple[float, float]:
         own = np.zeros(len(regions.volume[part]))
         for c, channel in enumerate(values):
             v = channel.take(regions.nodes[part]).astype(np.float64)
-            first, second = v @ weights, (v * v) @ weights
+            first, second = weighted(v, weights), weighted(v * v, weights)
             mean[c] += regions.volume[part] @ first
             square[c] += regions.volume[part] @ second
             own += np.sqrt(np.maximum(second - first * first, 0))

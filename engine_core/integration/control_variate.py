@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .regions import BIN, WHOLE, Regions, RegionTree, neighbourly
-from .rules import bin_means, face_weights, lagrange
+from .rules import bin_means, face_weights, lagrange, weighted
 
 _LOG_BINS = 14
 """log2 of a tile's bins, about: enough for full batches of samples, few enough for the cache."""
@@ -120,8 +120,8 @@ class TileOfRegions:
         weights = face_weights(self._dimensions)
         for c, values in enumerate(self._values):
             v = values.take(self.regions.nodes).astype(np.float64, copy=False)
-            constant[2 + c], constant[2 + channels + c] = v @ weights, np.square(v) @ weights
-            nodes[c] = (v.reshape(-1, len(over_rest)) @ over_rest).reshape(len(v), over_bins)
+            constant[2 + c], constant[2 + channels + c] = weighted(v, weights), weighted(np.square(v), weights)
+            nodes[c] = weighted(v.reshape(len(v), over_bins, -1), over_rest)
         constant *= self.overlap
         nodes *= self.overlap[:, None]
         h, sums = np.zeros((channels, total)), np.zeros((len(constant), total))
@@ -147,7 +147,7 @@ class TileOfRegions:
         """(R,) the predicted deviation of a sample of f - h."""
         if spread is None:
             return self.regions.density
-        inside = spread.take(self.regions.nodes) @ face_weights(self._dimensions)
+        inside = weighted(spread.take(self.regions.nodes), face_weights(self._dimensions))
         return np.hypot(self.regions.density, inside)
 
     def pairs(self, wanted: np.ndarray | None = None) -> Pairs:

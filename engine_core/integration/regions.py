@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .rules import face_weights
+from .rules import face_weights, weighted
 
 BIN = 20
 """log2 of how many lattice units a bin is long."""
@@ -430,13 +430,13 @@ class RegionTree:
             low, middle, high = (channel.take(old[:, i]) for i in range(3))
             for side, (near, far) in enumerate(((low, high), (high, low))):
                 said = 0.375 * near + 0.75 * middle - 0.125 * far
-                out[side] += np.abs(channel.take(new[:, side]) - said) @ weights
+                out[side] += weighted(np.abs(channel.take(new[:, side]) - said), weights)
         return out
 
     def _judge(self, part: slice | np.ndarray) -> None:
         """Nested errors of some regions, in slices that bound the memory."""
         index = np.arange(self._count)[part]
-        step = max(1, (1 << 20) // 3**self.dimensions)
+        step = max(1, (1 << 18) // 3**self.dimensions)
         for low in range(0, len(index), step):
             some = index[low : low + step]
             errors = nested_errors(self.store.values, self.regions.nodes[some], self.dimensions)
@@ -468,5 +468,9 @@ def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:
         v = channel.take(nodes)
         for d in range(m):
             low, middle, high = np.moveaxis(v.reshape(3**d, 3, -1, nodes.shape[1]), 1, 0)
-            out[d] += weights @ np.abs(2 * middle - low - high).reshape(len(weights), -1)
+            bend = middle + middle
+            bend -= low
+            bend -= high
+            np.abs(bend, out=bend)
+            out[d] += np.einsum("f,fr->r", weights, bend.reshape(len(weights), -1))
     return out / 3

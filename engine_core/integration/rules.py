@@ -59,6 +59,15 @@ def tensor_weights(rules: list[np.ndarray]) -> np.ndarray:
     return weights
 
 
+def weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Sums (...) of values (..., n) times weights (n,).
+
+    Not by ``@``: that is OpenBLAS's, which would share out these few numbers among threads of its own, on
+    processors that are busy; it took 80 times as long.
+    """
+    return np.einsum("...n,n->...", values, weights)
+
+
 def face_weights(dimensions: int) -> np.ndarray:
     """(3^dimensions,) Simpson's weights of a tensor grid."""
     return tensor_weights([SIMPSON] * dimensions)

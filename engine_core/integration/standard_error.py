@@ -35,7 +35,8 @@ def sampled_twice(bins: int, one_in: int, seed: int) -> np.ndarray:
     """(B,) which bins are: about one in so many, evenly spread; none of a tiny picture."""
     if bins < FEWEST:
         return np.zeros(bins, bool)
-    return ((np.arange(bins) + seed % 1009) * _GOLDEN) % 1.0 < 1.0 / one_in
+    place = (np.arange(bins) + seed % 1009) * _GOLDEN
+    return place - np.floor(place) < 1.0 / one_in
 
 
 @dataclass(eq=False)
@@ -130,10 +131,14 @@ def box_sums(values: np.ndarray, reach: int) -> np.ndarray:
     """Sums over the bins within ``reach`` along each axis but the first, and within the picture."""
     for axis in range(1, values.ndim):
         size = values.shape[axis]
-        none = np.zeros_like(values.take([0], axis=axis))
-        total = np.concatenate([none, np.cumsum(values, axis=axis)], axis=axis)
-        at = np.arange(size)
-        high, low = np.minimum(at + reach + 1, size), np.maximum(at - reach, 0)
+        # Sums of all before: nothing before the first, the same for all behind the last.
+        shape = list(values.shape)
+        shape[axis] += 2 * reach + 1
+        running = np.moveaxis(np.zeros(shape), axis, 0)
+        inside = running[reach + 1 : reach + 1 + size]
+        np.cumsum(np.moveaxis(values, axis, 0), axis=0, out=inside)
+        running[reach + 1 + size :] = inside[-1]
+        sums = running[2 * reach + 1 :] - running[:size]
         # A difference of running sums may fall a rounding below zero.
-        values = np.maximum(total.take(high, axis=axis) - total.take(low, axis=axis), 0)
+        values = np.moveaxis(np.maximum(sums, 0, out=sums), 0, axis)
     return values

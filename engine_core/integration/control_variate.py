@@ -34,6 +34,9 @@ class Pairs:
     first: np.ndarray
 
 
+KEPT_REGIONS, KEPT_BINS = 50_000, 1 << 21
+"""Up to which a picture's tiles are kept: about 1 kB a region and 40 bytes a bin."""
+
 TOGETHER = 8
 """Samples of a region whose polynomials are evaluated together."""
 
@@ -99,9 +102,10 @@ class TileOfRegions:
             # Different in the rest alone, they lie over the same bins.
             chosen = chosen[np.argsort(corner.take(chosen), kind="stable")]
             begin = np.flatnonzero(np.diff(corner.take(chosen), prepend=-1))
-            slots = corner.take(chosen.take(begin))[:, None]
+            slots = corner.take(chosen.take(begin)).astype(np.int32)[:, None]
             for log, stride in zip(logs, strides, strict=True):
-                slots = (slots[:, :, None] + np.arange(1 << log) * stride).reshape(len(begin), -1)
+                along = np.arange(0, stride << log, stride, dtype=np.int32)
+                slots = (slots[:, :, None] + along).reshape(len(begin), -1)
             groups.append(Footprints(chosen, begin, logs, slots))
         return groups
 
@@ -126,7 +130,7 @@ class TileOfRegions:
         nodes *= self.overlap[:, None]
         h, sums = np.zeros((channels, total)), np.zeros((len(constant), total))
         for group in self.footprints:
-            flat, each = group.slots.ravel(), group.slots.shape[1]
+            flat, each = group.slots.ravel().astype(np.intp), group.slots.shape[1]
             once = np.add.reduceat(constant.take(group.regions, axis=1), group.begin, axis=1)
             v = np.add.reduceat(nodes.take(group.regions, axis=1), group.begin, axis=1)
             behind = 1
@@ -282,6 +286,8 @@ class ControlVariate:
         self._order = np.argsort(tile, kind="stable")
         self._first = np.searchsorted(tile[self._order], np.arange(np.prod(self._counts) + 1))
         self.spread = tree.store.spread
+        keep = len(regions) <= KEPT_REGIONS and np.prod(tree.bins) <= KEPT_BINS
+        self._kept: dict[int, TileOfRegions] | None = {} if keep else None
 
     def __len__(self) -> int:
         """How many tiles there are."""
@@ -294,6 +300,11 @@ class ControlVariate:
         return low, tuple(min(lo + (1 << self._log), n) for lo, n in zip(low, self.bins, strict=True))
 
     def tile(self, number: int) -> TileOfRegions:
-        """Made anew each time: to keep all would take more memory than the picture."""
+        """Of large pictures and many regions made anew each time: to keep all would take too much memory."""
+        if self._kept is not None and number in self._kept:
+            return self._kept[number]
         part = self._order[self._first[number] : self._first[number + 1]]
-        return TileOfRegions(self._tree.leaves()[part], self._tree.store.values, *self.box(number))
+        tile = TileOfRegions(self._tree.leaves()[part], self._tree.store.values, *self.box(number))
+        if self._kept is not None:
+            self._kept[number] = tile
+        return tile

@@ -284,8 +284,9 @@ class Chunk:
 
     def points(self, points: PointSet, each: int) -> np.ndarray:
         """(D, B' * new * each) of a group that takes ``each`` points a sample."""
-        found = points.points(self.keys[self.bins], self.old * each, self.new * each)
-        return found.reshape(len(found), -1)
+        count = self.new * each
+        found = points.points(self.keys[self.bins], self.old * each, count)
+        return found.reshape(len(found), len(self.bins) * count)
 
 
 def _batches(chunks: list[Chunk], most: int) -> Iterator[list[Chunk]]:

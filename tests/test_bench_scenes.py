@@ -183,7 +183,7 @@ def shown_in_fog(name: str) -> tuple[Scene, type]:
 def test_the_thesis_integrand_is_the_picture_of_fog(name: str) -> None:
     made, space = shown_in_fog(name)
     f = space(made)
-    found = integrate(f, f.dimensions, (9, 16), 512, method="sobol", dtype=np.float32).value
+    found = integrate(f, f.dimensions, (9, 16), 2048, method="sobol", dtype=np.float32).value
     wanted = render(made, Settings(samples=256, integrator="sobol", threads=1)).combined[..., :3]
     assert found.mean() == pytest.approx(wanted.mean(), rel=0.02)
     assert np.abs(np.moveaxis(found, 0, -1) - wanted).mean() < 0.05 * wanted.mean()

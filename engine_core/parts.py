@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
-from .transport.laser_seen import LasersSeen
-from .transport.lasers import Lasers
+from .transport.laser_seen import LasersSeen, beside_beams
+from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
 from .transport.ray_rule import NODES, AlongRay, ScatteredAlongRay
 from .transport.shadows import Shadows
@@ -41,20 +42,34 @@ MOST_BARE = 16
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
-POINTS = 128
+BEAM_SPLIT = 16
+"""The same beside beams of lasers."""
+
+BESIDE = 2.0
+"""Pixels to either side of a beam, which no polynomial serves."""
+
+FRESH_POINTS = 64
+"""Of the nets that find out how far off that one is."""
+
+SEEN_POINTS = 64, 2048
+"""Of each pixel that sees a beam, and of each that sees where one ends."""
+
+POINTS = 64
 """Of the net that integrates what is left at nodes and samples, of a picture of few samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """An integral over the pixel alone.
+    """An integral over the pixel alone, the sum of several.
 
-    means : radiance (3, B) of pixels and its standard error (3, B), at points (2, B, S) of their unit squares.
+    touched : of pixels, which (B',) see anything of one of these.
+    means : its radiance (3, B') there and its standard error, at points (2, B', S) of their unit squares.
     points : S.
     """
 
-    means: Callable[[Pixels, np.ndarray], tuple[np.ndarray, np.ndarray]]
-    points: int
+    touched: tuple[Callable[[Pixels], np.ndarray], ...]
+    means: tuple[Callable[[Pixels, np.ndarray], tuple[np.ndarray, np.ndarray]], ...]
+    points: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +82,8 @@ class OverScreen:
     alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
+    fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
+        ``sampled`` has no error in common.
     """
 
     at_nodes: StagedIntegrand
@@ -77,6 +94,7 @@ class OverScreen:
     split: int
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None = None
+    fresh: StagedIntegrand | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +169,13 @@ def _by_net(
     settings: Settings,
     outlines: Callable[[Region, Map], np.ndarray],
     elsewhere: np.ndarray | None = None,
+    split: int = SPLIT,
 ) -> OverScreen:
     # The net's own error falls as 1 / points, and should stay below that of all else.
-    points = int(np.clip(1 << int(np.log2(settings.samples) + 6), POINTS, 1024))
+    points = int(np.clip(1 << int(np.log2(settings.samples) / 2 + 4), POINTS, 1024))
     inside = Integrated(integrand, points, settings.seed)
-    return OverScreen(inside, None, inside, points, integrand, SPLIT, outlines, elsewhere)
+    fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
+    return OverScreen(inside, None, inside, points, integrand, split, outlines, elsewhere, fresh)
 
 
 def _of_fog(
@@ -216,20 +236,26 @@ def _of_lasers(
     )
     stage = surfaces.stage
 
-    def outlines(region: Region, map_: Map) -> np.ndarray:
-        return silhouettes(stage.rays, surfaces.surfaces, region, map_)
+    def outlines(stretches: Sequence[Stretch]) -> Callable[[Region, Map], np.ndarray]:
+        def found(region: Region, map_: Map) -> np.ndarray:
+            beside = beside_beams(stage.rays, stretches, region, BESIDE)
+            return beside | silhouettes(stage.rays, surfaces.surfaces, region, map_)
+
+        return found
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, outlines)
+        by = _by_net(fog, settings, outlines(fog.stretches), split=BEAM_SPLIT)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
-        by = _by_net(lit, settings, outlines)
+        by = _by_net(lit, settings, outlines(lit.stretches), split=BEAM_SPLIT)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:
-        parts.append(Part("lasers seen", LASER, seen, 1, Seen(seen.means, 64)))
+        kinds = [{"spots": spots} for spots in (False, True)]
+        touched, means = (tuple(partial(f, **kind) for kind in kinds) for f in (seen.touched, seen.means))
+        parts.append(Part("lasers seen", LASER, seen, 1, Seen(touched, means, SEEN_POINTS)))
     return parts
 
 

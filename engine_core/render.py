@@ -329,18 +329,22 @@ class _Render:
         """What is an integral over the pixel alone."""
         x0, y0, x1, y1 = self._camera.region
         points = SobolPoints(range(2), self._settings.seed + 3, 0, dtype=np.float64)
-        points.prepare(part.by.points)
+        points.prepare(max(part.by.points))
 
         def see(low: int) -> None:
-            self._check()
-            y, x = (a.ravel() for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
-            pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._camera.region))
-            mean, error = part.by.means(pixels, points.points(pixels.key(), 0, part.by.points))
-            at = np.s_[low - y0 : low - y0 + SEEN_ROWS]
-            shape = layer.radiance[at].shape
-            layer.radiance[at] = np.clip(mean, -LARGEST, LARGEST).T.reshape(shape)
-            layer.control_variate[at] = layer.radiance[at]
-            layer.standard_error[at] = np.minimum(error, LARGEST).T.reshape(shape)
+            y, x = (a.ravel().astype(np.int32) for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
+            pixels = Pixels(x, y, cell_of(x, y, self._camera.region))
+            for touched, means, count in zip(part.by.touched, part.by.means, part.by.points, strict=True):
+                rows = touched(pixels)
+                step = max(1, self._settings.batch_size // count)
+                for chunk in (rows[first : first + step] for first in range(0, len(rows), step)):
+                    self._check()
+                    some = pixels[chunk]
+                    mean, error = means(some, points.points(some.key(), 0, count))
+                    at = some.y - y0, some.x - x0
+                    layer.radiance[at] += np.clip(mean, -LARGEST, LARGEST).T
+                    layer.standard_error[at] += np.minimum(error, LARGEST).T
+            layer.control_variate[low - y0 : low - y0 + SEEN_ROWS] = layer.radiance[low - y0 : low - y0 + SEEN_ROWS]
 
         outcome, ended = self._drive(
             pool, lambda map_, _: map_(see, range(y0, y1, SEEN_ROWS)), f"Drawing {part.name}"

@@ -43,10 +43,13 @@ DEFENSIVE = 0.1
 CHANCE = 1 / 16
 """The least with which a pixel is sampled at all."""
 
+FRESH_SHARE, FEWEST_FRESH, MOST_FRESH = 1 / 16, 256, 8192
+"""How many pixels tell of a net's error: of the samples that are left, at least, at most."""
+
 DEAR = 8.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
 
-MOST_DEAR = 8
+MOST_DEAR = 4
 """What chances are divided by at most."""
 
 PLACE = 1 / 64
@@ -80,7 +83,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
-        self._elsewhere = by.elsewhere
+        self._elsewhere, self._fresh = by.elsewhere, by.fresh
         self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
         if by.alone is by.sampled:
             self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
@@ -121,6 +124,8 @@ class ScreenPicture:
                 self._tree = tree
         grown = perf_counter()
         self._integrate()
+        if self._fresh is not None and self.regions:
+            self._correct(map_)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
         self._write(slice(None), slice(None))
 
@@ -175,6 +180,40 @@ class ScreenPicture:
             self._outline |= is_plain[self._region]
         del self._tree
 
+    def _correct(self, map_: Map) -> None:
+        """Take off what the net at all nodes has in common: a smooth part of H, found by other nets.
+
+        Some pixels are integrated by nets of their own beside this one; their differences, as a part of H that
+        is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds, as before.
+        """
+        width, height = self._bins
+        budget = self._left / self._cost
+        count = int(np.clip(FRESH_SHARE * budget, FEWEST_FRESH, MOST_FRESH))
+        index = np.flatnonzero(evenly_spread((width, height), max(width * height / count, 1), 3).T & ~self._outline)
+        index = index[self._mean.reshape(-1, CHANNELS)[index].any(axis=1)]
+        if len(index) < FEWEST_FRESH // 2:
+            return
+
+        def differ(part: np.ndarray) -> np.ndarray:
+            self._check()
+            y, x = np.divmod(part, width)
+            pixels = self._pixels(np.stack([x, y]))
+            middle = np.full((2, len(part), 1), 0.5, np.float32)
+            fresh, ours = (f.first(pixels, middle).values for f in (self._fresh, self._sampled))
+            return (fresh - ours)[:CHANNELS].T
+
+        found = np.concatenate(map_(differ, self._chunks(index, 64)))
+        self._left -= len(index) * self._cost * 1.5
+        y, x = np.mgrid[:height, :width]
+        terms = _terms(x / width - 0.5, y / height - 0.5).astype(np.float32)
+        basis = terms.reshape(len(terms), -1)[:, index].T[:, :, None] * self._mean.reshape(-1, CHANNELS)[index][:, None]
+        for channel in range(CHANNELS):
+            a = basis[:, :, channel].astype(np.float64)
+            scale = np.sqrt(np.square(a).sum(axis=0)) + 1e-300
+            solution = np.linalg.lstsq(a / scale, found[:, channel], rcond=1e-6)[0] / scale
+            self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
+        # h, from which samples are told apart, has none of it.
+
     def allocate(self, map_: Map) -> None:
         """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
         began = perf_counter()
@@ -228,7 +267,8 @@ class ScreenPicture:
         budget = self._left - float((self._count * cost).sum())
         # Where a sample is cheaper, more of them are worth it.
         cheap = np.sqrt(self._cost / cost)
-        budget /= float((deviation * cheap * cost).sum() / max((deviation * cheap).sum(), 1e-300))
+        mean_cost = float((deviation * cheap * cost).sum()) / max(float((deviation * cheap).sum()), 1e-300)
+        budget /= max(mean_cost, 1.0)
         due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCE / dear)
         due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
@@ -315,6 +355,11 @@ class ScreenPicture:
         # A mean of n points of a net, that is taken by chance.
         error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
         self._layer.standard_error[:] = (error / CHANNELS)[..., None]
+
+
+def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(6, ...) monomials up to the second degree."""
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def learned_by_blocks(found: np.ndarray, pilot: np.ndarray, said: np.ndarray) -> np.ndarray:

@@ -273,7 +273,7 @@ def test_channels_come_together() -> None:
 
     result = _estimate(f, 3, (4, 5), 200)
     assert result.value.shape == result.standard_error.shape == (3, 4, 5)
-    np.testing.assert_array_equal(2 * result.value[0], result.value[1])
+    np.testing.assert_allclose(2 * result.value[0], result.value[1], rtol=1e-14)
     assert (result.value[2] == 0).all()
 
 

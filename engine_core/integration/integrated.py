@@ -35,12 +35,15 @@ class Integrated:
     rest_dimensions = 0
     staged = True
 
-    def __init__(self, integrand: StagedIntegrand, points: int, seed: int, channels: int = 3) -> None:
-        """points : of the net. channels : of the integrand."""
-        self._integrand, self._channels = integrand, channels
-        net = SobolPoints(range(integrand.rest_dimensions), seed, 101)
-        net.prepare(points)
-        self._net = net.points(np.zeros(1, np.uint32), 0, points)
+    def __init__(
+        self, integrand: StagedIntegrand, points: int, seed: int, channels: int = 3, fixed: bool = True
+    ) -> None:
+        """points : of the net. channels : of the integrand. fixed : False for another net in each bin."""
+        self._integrand, self._channels, self._fixed = integrand, channels, fixed
+        self._points = SobolPoints(range(integrand.rest_dimensions), seed, 101 if fixed else 102)
+        self._points.prepare(points)
+        self._count = points
+        self._net = self._points.points(np.zeros(1, np.uint32), 0, points)
 
     @property
     def counts(self) -> Counter[str]:
@@ -54,7 +57,7 @@ class Integrated:
 
     def _means(self, bins: Any, u: np.ndarray) -> np.ndarray:
         """(C, B * S) values at u (D, B, S)."""
-        count, points = u[0].size, self._net.shape[2]
+        count, points = u[0].size, self._count
         stage = self._integrand.first(bins, u)
         out = np.zeros((self._channels, count))
         if stage.values is not None:
@@ -62,7 +65,11 @@ class Integrated:
         lane = np.arange(count) if stage.lane is None else stage.lane
         if len(lane) == 0:
             return out
-        net = np.repeat(self._net, len(lane), axis=1)
+        if self._fixed:
+            net = np.repeat(self._net, len(lane), axis=1)
+        else:
+            keys = np.repeat(bins.key(), u.shape[2]) if u.shape[2] > 1 else bins.key()
+            net = self._points.points(keys.take(lane), 0, points)
         which, values = self._integrand.rest(stage, None, net)
         if which is None:
             means = values.reshape(len(values), len(lane), points).mean(axis=2, dtype=np.float64)

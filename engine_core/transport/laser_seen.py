@@ -131,13 +131,20 @@ class LasersSeen:
 
     # -- over pixels -------------------------------------------------------------------------------
 
-    def means(self, pixels: Pixels, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def means(
+        self, pixels: Pixels, u: np.ndarray, spots: bool | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Mean radiance (3, B) of pixels, and its standard error, about; without a lens.
+
+        spots : of where beams end, which want many points where a surface grazes the beam; of all else; or, None, of
+            both.
 
         u : (2, B, S) points of the unit square, float64 if they can be; S for each cylinder in each pixel.
         """
         total, variance = np.zeros((2, 3, len(pixels)))
-        for outline, look in self._outlines:
+        for outline, look, is_spot in self._outlines:
+            if spots is not None and is_spot != spots:
+                continue
             self._check()
             touched = outline.touches(pixels)
             if touched.size == 0:
@@ -151,21 +158,28 @@ class LasersSeen:
             variance[:, touched] += spread / weight.shape[1] ** 1.5
         return total, np.sqrt(variance)
 
-    def _outlines_of(self) -> list[tuple[Outline, Callable[[Pixels, np.ndarray], np.ndarray]]]:
-        """Where in the picture each cylinder is, and what rays of pixels through points see of it alone."""
+    def touched(self, pixels: Pixels, spots: bool) -> np.ndarray:
+        """(B',) which of pixels `means` may find anything in."""
+        found = [outline.touches(pixels) for outline, _, is_spot in self._outlines if is_spot == spots]
+        return np.unique(np.concatenate([np.zeros(0, np.intp), *found]))
+
+    def _outlines_of(self) -> list[tuple[Outline, Callable[[Pixels, np.ndarray], np.ndarray], bool]]:
+        """Where in the picture each cylinder is, what rays of pixels through points see of it alone, and whether
+        that is a spot.
+        """
         found, rays = [], self._rays
         for s in self.stretches:
             outline = Outline(rays, s.start, s.direction, s.radius, s.length)
-            found.append((outline, partial(self._beam_at, stretch=s)))
+            found.append((outline, partial(self._beam_at, stretch=s), False))
         for beam in self.spots:
             # Where its light is known to meet surfaces, points lie close; some of it may be anywhere.
             ends = [Outline(rays, beam.origin, beam.direction, beam.radius, points=p) for p in beam.ends]
             ends = [end for end in ends if end.bounded]
             found += [
-                (end, partial(self._spot_at, beam=beam, besides=ends[:i])) for i, end in enumerate(ends)
+                (end, partial(self._spot_at, beam=beam, besides=ends[:i]), True) for i, end in enumerate(ends)
             ]
             whole = Outline(rays, beam.origin, beam.direction, beam.radius, beam.length)
-            found.append((whole, partial(self._spot_at, beam=beam, besides=ends)))
+            found.append((whole, partial(self._spot_at, beam=beam, besides=ends), False))
         return found
 
     def _beam_at(self, pixels: Pixels, u: np.ndarray, stretch: Stretch) -> np.ndarray:

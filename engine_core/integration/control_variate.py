@@ -124,7 +124,8 @@ class TileOfRegions:
         weights = face_weights(self._dimensions)
         for c, values in enumerate(self._values):
             v = values.take(self.regions.nodes).astype(np.float64, copy=False)
-            constant[2 + c], constant[2 + channels + c] = weighted(v, weights), weighted(np.square(v), weights)
+            constant[2 + c] = weighted(v, weights)
+            constant[2 + channels + c] = weighted(np.square(v), weights)
             nodes[c] = weighted(v.reshape(len(v), over_bins, -1), over_rest)
         constant *= self.overlap
         nodes *= self.overlap[:, None]

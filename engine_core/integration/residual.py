@@ -226,9 +226,14 @@ class ResidualSampler:
         return total, spread
 
     def _residual(
-        self, integrand: StagedIntegrand, bins: Any, tile: TileOfRegions, overlaps: Overlaps | None, batch: list[Chunk]
+        self,
+        integrand: StagedIntegrand,
+        bins: Any,
+        tile: TileOfRegions,
+        overlaps: Overlaps | None,
+        batch: list[Chunk],
     ) -> tuple[np.ndarray, Any]:
-        """Weighted f - h (C, N * split) at the N points of the bins' dimensions in a batch, and the first stage.
+        """Weighted f - h (C, N * split) of a batch, and the first stage, of N points.
 
         overlaps : None for f alone.
         """

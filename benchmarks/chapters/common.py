@@ -88,7 +88,7 @@ def values_on_screen(
         return values_at(integrand, stage, index.shape[1], None, rest)[:3]
 
 
-def integrated(space: Callable[[Scene], OnScreen], **how: str) -> Method:
+def integrated(space: Callable[[Scene], OnScreen], **how: object) -> Method:
     """By `integrate`, of what ``space`` makes of a scene."""
 
     def method(scene: Scene, samples: int, seed: int) -> Outcome:

@@ -116,7 +116,11 @@ def _scattering(scene: Scene, distance_sampling: str) -> tuple[DirectLight, Sing
 def _methods(space: type) -> Methods:
     return {
         "plain monte carlo": (integrated(space, method="monte_carlo"), (150, 150, 150)),
-        "quadrature": (integrated(space, method="quadrature"), (60, 150, 70)),
+        # By its defaults it takes thousands of points a pixel in more dimensions than one.
+        "quadrature": (
+            integrated(space, method="quadrature", min_levels=2, max_levels=6, tolerance=0.1),
+            (60, 150, 70),
+        ),
         # A sixteenth of the samples for the control variate, all others for the residual.
         "thesis 2020": (integrated(space, preset="thesis_2020"), (235, 140, 30)),
         "cv render, sobol": (rendered(integrator="sobol"), (30, 110, 200)),

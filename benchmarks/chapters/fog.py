@@ -26,7 +26,9 @@ from ..method_figures import Canvas
 from .common import (
     LETTER,
     Details,
+    Method,
     Methods,
+    Outcome,
     Study,
     curves,
     equal_samples,
@@ -116,16 +118,23 @@ def _scattering(scene: Scene, distance_sampling: str) -> tuple[DirectLight, Sing
 def _methods(space: type) -> Methods:
     return {
         "plain monte carlo": (integrated(space, method="monte_carlo"), (150, 150, 150)),
-        # By its defaults it takes thousands of points a pixel in more dimensions than one.
-        "quadrature": (
-            integrated(space, method="quadrature", min_levels=2, max_levels=6, tolerance=0.1),
-            (60, 150, 70),
-        ),
+        "quadrature": (_quadrature(space), (60, 150, 70)),
         # A sixteenth of the samples for the control variate, all others for the residual.
         "thesis 2020": (integrated(space, preset="thesis_2020"), (235, 140, 30)),
         "cv render, sobol": (rendered(integrator="sobol"), (30, 110, 200)),
         "cv render": (rendered(), (210, 40, 40)),
     }
+
+
+def _quadrature(space: type) -> Method:
+    """Nested, of what is left beside the screen: coarser where that is more than the distance."""
+
+    def method(scene: Scene, samples: int, seed: int) -> Outcome:
+        # By its defaults it would take thousands of points a pixel.
+        fewer = {} if space(scene).dimensions == 3 else {"min_levels": 2, "max_levels": 6, "tolerance": 0.1}
+        return integrated(space, method="quadrature", **fewer)(scene, samples, seed)
+
+    return method
 
 
 METHODS, LASER_METHODS = _methods(FogOnScreen), _methods(LasersOnScreen)

@@ -31,7 +31,7 @@ CHANNELS = 3
 SHARE = 1 / 3
 """Of the budget, spent on nodes."""
 
-PILOT_ONE_IN = 16
+PILOT_ONE_IN = 48
 """One pixel in so many is sampled first, and tells its block how right the nodes' prediction is."""
 
 LOG_BLOCK = 3
@@ -40,7 +40,7 @@ LOG_BLOCK = 3
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
-CHANCE = 1 / 16
+CHANCE = 1 / 32
 """The least with which a pixel is sampled at all."""
 
 FRESH_SHARE, FEWEST_FRESH, MOST_FRESH = 1 / 16, 256, 8192
@@ -54,6 +54,9 @@ MOST_DEAR = 4
 
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
+
+OUTLINE_OF_SHADOW = 0.03
+"""Deviation of a sample, of the radiance, in regions that a shadow's outline crosses."""
 
 FAITH = 0.5
 """How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
@@ -147,10 +150,16 @@ class ScreenPicture:
         density = neighbourly(leaves.density, leaves, tree.store.count)
         inside = np.zeros(len(leaves))
         if tree.store.spread is not None:
-            inside = neighbourly(tree.store.spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
+            spread, edges = tree.store.spread
+            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
+            # Where some nodes see a shadow's edge and others do not, there is its outline, steep as a root.
+            edges = edges.take(leaves.nodes)
+            mixed = edges.min(axis=1) < edges.max(axis=1)
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
+        if tree.store.spread is not None:
+            inside = np.hypot(inside, OUTLINE_OF_SHADOW * mixed * first.sum(axis=1))
         variance = np.maximum(np.einsum("rnc,n->rc", coefficients**2, weights) - first**2, 0)
         # One pixel's own variance can't be told from its noise: only where regions are no longer halved.
         hopeless = leaves.density**2 > BEYOND_HOPE * np.sqrt(variance).sum(axis=1) ** 2

@@ -82,12 +82,12 @@ class NodeEvaluator:
         parts = [place[:, low : low + step] for low in range(0, place.shape[1], step)]
         results = self._map(self._evaluate, parts)
         values = np.concatenate([r[0] for r in results], axis=1)
-        spread = np.concatenate([r[1] for r in results]) if self._inner else None
+        spread = np.concatenate([r[1] for r in results], axis=-1) if self._inner else None
         self.evaluations += sum(r[2] for r in results)
         if order is not None:
             values[:, order] = values.copy()
             if spread is not None:
-                spread[order] = spread.copy()
+                spread[..., order] = spread.copy()
         return values, spread
 
     def _evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, int]:

@@ -53,7 +53,7 @@ Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 class NodeStore:
     """Values of all nodes so far, found by their keys in a hash table.
 
-    values : (C, N). spread : (N,) or None.
+    values : (C, N). spread : (N,), or more of what a rule tells of a node (..., N), or None.
     """
 
     def __init__(self, evaluate: Evaluate) -> None:
@@ -117,7 +117,7 @@ class NodeStore:
 
     @property
     def spread(self) -> np.ndarray | None:
-        return None if self._spread is None else self._spread[: self.count]
+        return None if self._spread is None else self._spread[..., : self.count]
 
     def _append(self, values: np.ndarray, spread: np.ndarray | None) -> None:
         end = self.count + values.shape[1]

@@ -24,7 +24,7 @@ from .single_scattering import FogRays, Scattered, SingleScattering
 NODES, NODES_OF_SPOTS = 17, 17
 """Where visibility is asked for in a lane: what is thinner than a step may be missed, first by spots."""
 
-BISECTIONS = 3
+BISECTIONS = 6
 """Of the step in which a shadow has its edge."""
 
 CHECKS = 4
@@ -79,24 +79,28 @@ class ScatteredAlongRay(Scattered):
         return None, values
 
     def along(self, rays: FogRays, lane: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance (3, N) that rays ``lane`` (N,) bring, None for all, and its likely error (N,)."""
+        """Radiance (3, N) that rays ``lane`` (N,) bring, None for all; (2, N) its likely error, and how many edges
+        shadows have along the ray.
+        """
         self._check()
         return self._estimate(rays, lane, None)
 
     def _estimate(
         self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance (3, N), and the deviation (N,) that u gives it, summed over channels; 0 with a u."""
+        """Radiance (3, N); without a u also (2, N) the deviation that u would give it, summed over channels, and
+        how many edges shadows have.
+        """
         count = len(rays) if lane is None else len(lane)
-        radiance, variance = np.zeros((3, count)), np.zeros(count)
+        radiance, told = np.zeros((3, count)), np.zeros((2, count))
         if count == 0:
-            return radiance, variance
+            return radiance, told
         segments = Segments.of(rays, lane, self._scattering.media)
         for kind, lanes in self._lanes(segments):
             if len(lanes) == 0:
                 continue
             ray = segments.ray.take(lanes.segment)
-            value, error = self._integral(
+            value, error, edges = self._integral(
                 lanes, self._nodes[kind], None if u is None else u.take(ray, axis=1)
             )
             whole = lanes.radiance(value)
@@ -105,8 +109,10 @@ class ScatteredAlongRay(Scattered):
             else:
                 radiance += [np.bincount(ray, channel, count) for channel in whole]
             if error is not None:
-                variance += np.bincount(ray, np.square(lanes.radiance(error).sum(axis=0)), count)
-        return self._bounded(radiance), np.sqrt(variance)
+                told[0] += np.bincount(ray, np.square(lanes.radiance(error).sum(axis=0)), count)
+                told[1] += np.bincount(ray, edges, count)
+        told[0] = np.sqrt(told[0])
+        return self._bounded(radiance), told
 
     def _lanes(self, segments: Segments) -> Iterator[tuple[int, Lanes]]:
         """Lanes of all kinds of lights, in batches."""
@@ -119,10 +125,11 @@ class ScatteredAlongRay(Scattered):
 
     def _integral(
         self, lanes: Lanes, nodes: int, u: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """(G, C, n) integrals of `Lanes.smooth` times visibility over s, for u (2, n); None for none.
 
-        Without a u, also what deviation the last brackets of shadows leave, None for 0.
+        Without a u, also what deviation the last brackets of shadows leave, and how many edges these have (n,);
+        None for 0.
         """
         pieces = _Pieces(lanes, self._quadrature)
         s = np.linspace(0, 1, nodes)
@@ -130,7 +137,7 @@ class ScatteredAlongRay(Scattered):
         seen = self._seen(lanes, s[:, None])
         result = pieces.whole * seen[-1]
         step, lane = np.nonzero(seen[1:] != seen[:-1])
-        error = None
+        error = edges = None
         low = high = np.zeros(0)
         if lane.size:
             part, lit = lanes.take(lane), seen[step, lane]
@@ -149,14 +156,14 @@ class ScatteredAlongRay(Scattered):
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
                 lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
                 error += pieces.whole**2 * (lone / (nodes * CHECKS))
-                error = np.sqrt(error)
+                error, edges = np.sqrt(error), np.bincount(lane, minlength=len(lanes))
             else:
                 at = low + (high - low) * u[0].take(lane)
                 change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
             result += _sums(lane, change, len(lanes))
         if u is not None:
             result += self._checked(lanes, pieces, s, seen, (step, lane, low, high), u[1])
-        return result, error
+        return result, error, edges
 
     def _checked(
         self,
@@ -218,12 +225,12 @@ class AlongRay(InnerRule):
             which = np.flatnonzero(lane >= 0)
             lane = lane.take(which)
         everything = len(lane) == len(rays) and (lane == np.arange(len(rays))).all()
-        values, spread = nodes.integrand.along(rays, None if everything else lane)
+        values, told = nodes.integrand.along(rays, None if everything else lane)
         if which is not None:
-            dense, deviation = np.zeros((3, count), np.float32), np.zeros(count)
-            dense[:, which], deviation[which] = values, spread
-            values, spread = dense, deviation
-        return values, spread, count * self._cost
+            dense, of_all = np.zeros((3, count), np.float32), np.zeros((2, count))
+            dense[:, which], of_all[:, which] = values, told
+            values, told = dense, of_all
+        return values, told, count * self._cost
 
 
 def _sums(lane: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -99,13 +100,15 @@ class OverScreen:
 
 @dataclass(frozen=True, eq=False)
 class AroundLights:
-    """Fog in the pixels about lights that the camera sees: that of the light itself, and that of all others.
+    """Fog in the pixels about lights that the camera sees.
 
-    blocks : of each light. own, others : integrands for each block.
+    blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those whose
+        images are not far, and of all others.
     """
 
     blocks: list[Block]
     own: list[StagedIntegrand]
+    beside: list[list[StagedIntegrand]]
     others: list[list[StagedIntegrand]]
 
 
@@ -130,7 +133,7 @@ class Part:
         if isinstance(self.by, OverScreen):
             integrands += [self.by.at_nodes, self.by.sampled, self.by.alone]
         elif isinstance(self.by, AroundLights):
-            integrands += [*self.by.own, *(other for others in self.by.others for other in others)]
+            integrands += [*self.by.own, *chain.from_iterable(self.by.beside + self.by.others)]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
         return sum(different.values(), Counter())
 
@@ -202,8 +205,10 @@ def _of_fog(
         found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
         if found:
             own = [AroundLight(integrands(every[every == b.light])[0], b.centre) for b in found]
-            others = [integrands(every[every != b.light]) for b in found]
-            parts.append(Part("fog around lights", VOLUME, own[0], 1, AroundLights(found, own, others)))
+            beside = [integrands(b.beside) for b in found]
+            others = [integrands(np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
+            by = AroundLights(found, own, beside, others)
+            parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
         else:
             elsewhere = None
     if bare.size:

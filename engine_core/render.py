@@ -363,8 +363,12 @@ class _Render:
         few = int(np.clip(4 * settings.samples, 16, 128))
         work = [
             (integrand, block, block.core == core, n)
-            for block, own, others in zip(by.blocks, by.own, by.others, strict=True)
-            for integrands, samples in (([own], (close, close // 8)), (others, (few, few)))
+            for block, own, beside, others in zip(by.blocks, by.own, by.beside, by.others, strict=True)
+            for integrands, samples in (
+                ([own], (close, close // 8)),
+                (beside, (close // 2, close // 2)),
+                (others, (few, few)),
+            )
             for integrand in integrands
             for core, n in zip((True, False), samples, strict=True)
             if (block.core == core).any()

@@ -55,6 +55,12 @@ MOST_DEAR = 4
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
 
+VISIBLE = 0.08
+"""Noise of a pixel, of its brightness, that chance alone may make in a picture of one sample."""
+
+PEAK = 4.0
+"""How many times as large a single speck may be, as far as samples nearby tell."""
+
 OUTLINE_OF_SHADOW = 0.03
 """Deviation of a sample, of the radiance, in regions that a shadow's outline crosses."""
 
@@ -280,6 +286,14 @@ class ScreenPicture:
         budget /= max(mean_cost, 1.0)
         due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCE / dear)
         due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
+        if served.any():
+            # What is sampled by chance is noisier by it: only where none sees that, whatever it costs.
+            brightness = np.maximum(self._mean.sum(axis=2), 0)
+            allowed = VISIBLE / np.sqrt(settings.samples) * (brightness + 0.25 * brightness.mean() + 1e-300)
+            peaks = np.sqrt(_largest_around(np.where(pilot, found, 0)))
+            least = np.maximum(np.square(deviation / allowed), peaks / (PEAK * allowed))
+            np.minimum(least, 1, out=least)
+            chance[served] = np.maximum(chance[served], least[served])
         kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
         self._chance = np.where(pilot, 1, chance).astype(np.float32)
         due = np.where(kept, due, 0)
@@ -402,6 +416,18 @@ def _blocks(a: np.ndarray) -> np.ndarray:
     """Sums over blocks."""
     starts = [np.arange(0, n, 1 << LOG_BLOCK) for n in a.shape]
     return np.add.reduceat(np.add.reduceat(a, starts[0], axis=0, dtype=np.float64), starts[1], axis=1)
+
+
+def _largest_around(a: np.ndarray) -> np.ndarray:
+    """(H, W) the largest of ``a`` in each pixel's block and the eight around."""
+    shape = a.shape
+    for axis in range(2):
+        a = np.maximum.reduceat(a, np.arange(0, a.shape[axis], 1 << LOG_BLOCK), axis=axis)
+        padded = np.pad(a, [(1, 1) if i == axis else (0, 0) for i in range(2)])
+        low, middle, high = (np.take(padded, np.arange(k, k + a.shape[axis]), axis=axis) for k in range(3))
+        a = np.repeat(np.maximum(np.maximum(low, middle), high), 1 << LOG_BLOCK, axis=axis)
+        a = np.take(a, np.arange(shape[axis]), axis=axis)
+    return a
 
 
 def _around(a: np.ndarray) -> np.ndarray:

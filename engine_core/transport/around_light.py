@@ -21,6 +21,9 @@ from .light_samples import SceneLights
 HALF_WIDTH = 6
 """Of the block about a light's image, in pixels."""
 
+BESIDE = 4 * HALF_WIDTH
+"""Pixels from one light's image within which another's is too bright to be left to a few samples."""
+
 CORE = 2
 """Half the width of what is close to it."""
 
@@ -28,11 +31,12 @@ CORE = 2
 class Block:
     """The pixels about a light's image that are nearer to it than to that of any other light.
 
-    light : its number. centre : (2,) of its image. x, y : (B,) pixels of the whole frame.
-    core : (B,) bool, which are close to it.
+    light : its number. beside : numbers of lights whose images are not far. centre : (2,) of its own image.
+    x, y : (B,) pixels of the whole frame. core : (B,) bool, which are close to it.
     """
 
     light: int
+    beside: np.ndarray
     centre: np.ndarray
     x: np.ndarray
     y: np.ndarray
@@ -66,7 +70,9 @@ def blocks(
     for k in np.unique(owner[owner >= 0]):
         x, y = np.nonzero(owner == k)
         core = nearest[x, y] < CORE + 0.5
-        found.append(Block(int(numbers[k]), image[:, k], x + x0, y + y0, core))
+        apart = np.abs(image - image[:, k : k + 1]).max(axis=0)
+        beside = numbers[seen & (apart < BESIDE) & (np.arange(len(numbers)) != k)]
+        found.append(Block(int(numbers[k]), beside, image[:, k], x + x0, y + y0, core))
     return found, owner >= 0
 
 

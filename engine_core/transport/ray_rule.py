@@ -27,7 +27,7 @@ NODES, NODES_OF_SPOTS = 17, 17
 BISECTIONS = 6
 """Of the step in which a shadow has its edge."""
 
-CHECKS = 4
+CHECKS = 16
 """Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
 
 POINTS, POINTS_OF_PEAKS = 10, 16

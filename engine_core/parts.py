@@ -193,7 +193,9 @@ def _of_fog(
         if (of_bare := np.intersect1d(lights, bare)).size:
             found.append(ScatteredAlongRay(scattering, of_bare, check))
         if (of_rest := np.intersect1d(lights, rest)).size:
-            found.append(ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check))
+            found.append(
+                ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check)
+            )
         return found
 
     parts, rest, elsewhere = [], scattering.sized, None
@@ -201,7 +203,11 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     every = np.union1d(bare, rest)
-    if settings.integrator == "control_variates" and scattering.screen_dimensions == 2 and len(every) <= MOST_BARE:
+    if (
+        settings.integrator == "control_variates"
+        and scattering.screen_dimensions == 2
+        and len(every) <= MOST_BARE
+    ):
         found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
         if found:
             own = [AroundLight(integrands(every[every == b.light])[0], b.centre) for b in found]
@@ -213,9 +219,7 @@ def _of_fog(
             elsewhere = None
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check)
-        by = OverScreen(
-            whole, AlongRay(NODES), whole, NODES, whole, 1, outlines, elsewhere
-        )
+        by = OverScreen(whole, AlongRay(NODES), whole, NODES, whole, 1, outlines, elsewhere)
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)

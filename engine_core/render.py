@@ -344,7 +344,9 @@ class _Render:
                     at = some.y - y0, some.x - x0
                     layer.radiance[at] += np.clip(mean, -LARGEST, LARGEST).T
                     layer.standard_error[at] += np.minimum(error, LARGEST).T
-            layer.control_variate[low - y0 : low - y0 + SEEN_ROWS] = layer.radiance[low - y0 : low - y0 + SEEN_ROWS]
+            layer.control_variate[low - y0 : low - y0 + SEEN_ROWS] = layer.radiance[
+                low - y0 : low - y0 + SEEN_ROWS
+            ]
 
         outcome, ended = self._drive(
             pool, lambda map_, _: map_(see, range(y0, y1, SEEN_ROWS)), f"Drawing {part.name}"
@@ -359,7 +361,7 @@ class _Render:
         """Pixels about lights in the picture, each integrated by itself."""
         by, settings = part.by, self._settings
         x0, y0 = self._camera.region[:2]
-        close = int(np.clip(CORE_SAMPLES * settings.samples, 8 * CORE_SAMPLES, MOST_SAMPLES))
+        close = int(np.clip(CORE_SAMPLES * settings.samples, 2 * CORE_SAMPLES, MOST_SAMPLES))
         few = int(np.clip(4 * settings.samples, 16, 128))
         work = [
             (integrand, block, block.core == core, n)
@@ -407,7 +409,9 @@ class _Render:
             self._done += samples
 
         pending = {pool.submit(_quietly, picture.refine, n, done): n for n in range(len(picture))}
-        ended = self._wait(pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True)
+        ended = self._wait(
+            pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True
+        )
         picture.finish()
         self._show_all()
         return ended
@@ -629,9 +633,7 @@ class _Render:
     ) -> None:
         """Add samples of fog or lasers to the pixels of one tile."""
         if self._quadrature and part.plain.rest_dimensions == 1:
-            sums = sum_quadrature(
-                part.plain, pixels, pixels.key(), points[0], start, count, self._tolerance
-            )
+            sums = sum_quadrature(part.plain, pixels, pixels.key(), points[0], start, count, self._tolerance)
         else:
             sums = sum_samples(
                 part.plain, pixels, pixels.key(), points, start, count, part.split, self._settings.batch_size

@@ -75,6 +75,7 @@ MOST_REGIONS = 1_000_000
 BEYOND_HOPE = 0.5
 """Part of its variance that a region's polynomial may leave over: where it is more, f itself is sampled."""
 
+
 class ScreenPicture:
     """One layer of a picture: built, shown whole, and refined where its error is.
 
@@ -204,7 +205,9 @@ class ScreenPicture:
         width, height = self._bins
         budget = self._left / self._cost
         count = int(np.clip(FRESH_SHARE * budget, FEWEST_FRESH, MOST_FRESH))
-        index = np.flatnonzero(evenly_spread((width, height), max(width * height / count, 1), 3).T & ~self._outline)
+        index = np.flatnonzero(
+            evenly_spread((width, height), max(width * height / count, 1), 3).T & ~self._outline
+        )
         index = index[self._mean.reshape(-1, CHANNELS)[index].any(axis=1)]
         if len(index) < FEWEST_FRESH // 2:
             return
@@ -221,7 +224,10 @@ class ScreenPicture:
         self._left -= len(index) * self._cost * 1.5
         y, x = np.mgrid[:height, :width]
         terms = _terms(x / width - 0.5, y / height - 0.5).astype(np.float32)
-        basis = terms.reshape(len(terms), -1)[:, index].T[:, :, None] * self._mean.reshape(-1, CHANNELS)[index][:, None]
+        basis = (
+            terms.reshape(len(terms), -1)[:, index].T[:, :, None]
+            * self._mean.reshape(-1, CHANNELS)[index][:, None]
+        )
         for channel in range(CHANNELS):
             a = basis[:, :, channel].astype(np.float64)
             scale = np.sqrt(np.square(a).sum(axis=0)) + 1e-300
@@ -363,7 +369,9 @@ class ScreenPicture:
             t *= self._per_pixel[axis].take(region)[:, None]
             weights.append(lagrange(t))  # (3, B, n)
         both = weights[0][:, None] * weights[1]
-        return np.matmul(both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0))
+        return np.matmul(
+            both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0)
+        )
 
     def _write(self, y: np.ndarray | slice, x: np.ndarray | slice) -> None:
         h, residual = self._mean[y, x], self._residual[y, x]

@@ -34,9 +34,7 @@ WHITE = (Material(),)
 LIGHT = np.array([1.2, 0.2, -1.5])
 
 
-def fog(
-    lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, **camera
-) -> SingleScattering:
+def fog(lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, **camera) -> SingleScattering:
     view = Camera.look_at((0, 0, 0), (0, 0, -1), EDGE, EDGE, 0.9, up=(0, 1, 0), **camera)
     scene = Scene(view, tuple(meshes), materials, tuple(lights), World(volume=world), volumes=tuple(volumes))
     direct = DirectLight(scene)

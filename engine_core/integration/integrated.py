@@ -52,7 +52,9 @@ class Integrated:
     def first(self, bins: Any, u: np.ndarray) -> _Values:
         each = u.shape[2]
         step = max(1, BATCH // (each * self._net.shape[2]))
-        parts = [self._means(bins[low : low + step], u[:, low : low + step]) for low in range(0, len(bins), step)]
+        parts = [
+            self._means(bins[low : low + step], u[:, low : low + step]) for low in range(0, len(bins), step)
+        ]
         return _Values(np.concatenate(parts, axis=1) if parts else np.zeros((self._channels, 0)))
 
     def _means(self, bins: Any, u: np.ndarray) -> np.ndarray:

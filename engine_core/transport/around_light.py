@@ -27,6 +27,7 @@ BESIDE = 4 * HALF_WIDTH
 CORE = 2
 """Half the width of what is close to it."""
 
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """The pixels about a light's image that are nearer to it than to that of any other light.

@@ -150,7 +150,9 @@ class DirectLight:
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
         self._one_material = len(materials) == 1
         used = np.unique(triangles.material)
-        self.reflects = len(self.lights) > 0 and not (shader.lambertian and not self._reflectance[:, used].any())
+        self.reflects = len(self.lights) > 0 and not (
+            shader.lambertian and not self._reflectance[:, used].any()
+        )
         glows = self.media is not None and (self.media.emits or transparent)
         self.shows = bool(self.reflects or self.sees or glows or self.transparent or normals)
 

@@ -77,7 +77,7 @@ class Seen:
 class OverScreen:
     """How a control variate over the screen alone serves an integral.
 
-    at_nodes, rule : what nodes evaluate, and how they integrate it beyond the screen, None if nothing is left.
+    at_nodes, rule : what nodes evaluate, and how they integrate what is left; None if nothing is.
     sampled : an unbiased estimate of the same with little noise, for the residual.
     rays : to each light, that either takes, about.
     alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
@@ -102,8 +102,8 @@ class OverScreen:
 class AroundLights:
     """Fog in the pixels about lights that the camera sees.
 
-    blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those whose
-        images are not far, and of all others.
+    blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those
+        whose images are not far, and of all others.
     """
 
     blocks: list[Block]

@@ -295,7 +295,6 @@ class _Render:
 
     def _parts_by_control_variates(self, pool: Executor) -> str | None:
         """Build, show and refine the pictures of fog and lasers; returns why it was stopped, if it was."""
-        settings = self._settings
         if not self._parts_done:
             return None
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):

@@ -199,8 +199,8 @@ class ScreenPicture:
     def _correct(self, map_: Map) -> None:
         """Take off what the net at all nodes has in common: a smooth part of H, found by other nets.
 
-        Some pixels are integrated by nets of their own beside this one; their differences, as a part of H that
-        is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds, as before.
+        Some pixels are integrated by nets of their own beside this one; their differences, as a part of H
+        that is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds, as before.
         """
         width, height = self._bins
         budget = self._left / self._cost

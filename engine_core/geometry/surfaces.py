@@ -109,7 +109,7 @@ class Surfaces:
         return self._hit(self._camera_tracer, self._camera_rows, origins, directions, reach)
 
     def distance(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """(N,) lengths of the direction to what camera rays (N, 3) meet first, ``reach`` where that is nothing.
+        """(N,) lengths of the direction to what camera rays (N, 3) meet, ``reach`` where that is nothing.
 
         directions : (N, 3) or (1, 3). reach : a number or (N,) float32.
         """

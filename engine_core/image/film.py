@@ -25,7 +25,7 @@ class Layer:
     """What one integral adds to a picture.
 
     shows : `SURFACE`, `VOLUME` or `LASER`.
-    radiance : (H, W, 3 or more) float32. control_variate, residual, standard_error : (H, W, 3) float32, of it.
+    radiance : (H, W, 3 or more) float32. control_variate, residual, standard_error : (H, W, 3), of it.
     sample_count : (H, W) int32.
     """
 

@@ -115,10 +115,7 @@ class AroundLight:
     ) -> tuple[np.ndarray | None, np.ndarray]:
         which, values = self._integrand.rest(stage.stage, lane, u)
         weight = stage.weight if stage.lane is None else stage.weight.take(stage.lane)
-        if lane is None:
-            weight = np.repeat(weight, u.shape[2])
-        else:
-            weight = weight.take(lane)
+        weight = np.repeat(weight, u.shape[2]) if lane is None else weight.take(lane)
         return which, values * (weight if which is None else weight.take(which))
 
 

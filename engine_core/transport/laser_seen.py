@@ -136,8 +136,8 @@ class LasersSeen:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean radiance (3, B) of pixels, and its standard error, about; without a lens.
 
-        spots : of where beams end, which want many points where a surface grazes the beam; of all else; or, None, of
-            both.
+        spots : of where beams end, which want many points where a surface grazes the beam; or of all else;
+            None for both.
 
         u : (2, B, S) points of the unit square, float64 if they can be; S for each cylinder in each pixel.
         """
@@ -164,8 +164,8 @@ class LasersSeen:
         return np.unique(np.concatenate([np.zeros(0, np.intp), *found]))
 
     def _outlines_of(self) -> list[tuple[Outline, Callable[[Pixels, np.ndarray], np.ndarray], bool]]:
-        """Where in the picture each cylinder is, what rays of pixels through points see of it alone, and whether
-        that is a spot.
+        """Where in the picture each cylinder is, what rays of pixels through points see of it alone, and
+        whether that is a spot.
         """
         found, rays = [], self._rays
         for s in self.stretches:

@@ -79,8 +79,8 @@ class ScatteredAlongRay(Scattered):
         return None, values
 
     def along(self, rays: FogRays, lane: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance (3, N) that rays ``lane`` (N,) bring, None for all; (2, N) its likely error, and how many edges
-        shadows have along the ray.
+        """Radiance (3, N) that rays ``lane`` (N,) bring, None for all; (2, N) its likely error, and how many
+        edges shadows have along the ray.
         """
         self._check()
         return self._estimate(rays, lane, None)
@@ -88,8 +88,8 @@ class ScatteredAlongRay(Scattered):
     def _estimate(
         self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance (3, N); without a u also (2, N) the deviation that u would give it, summed over channels, and
-        how many edges shadows have.
+        """Radiance (3, N); without a u also (2, N) the deviation that u would give it, summed over channels,
+        and how many edges shadows have.
         """
         count = len(rays) if lane is None else len(lane)
         radiance, told = np.zeros((3, count)), np.zeros((2, count))
@@ -128,8 +128,8 @@ class ScatteredAlongRay(Scattered):
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """(G, C, n) integrals of `Lanes.smooth` times visibility over s, for u (2, n); None for none.
 
-        Without a u, also what deviation the last brackets of shadows leave, and how many edges these have (n,);
-        None for 0.
+        Without a u, also what deviation the last brackets of shadows leave, and how many edges these have
+        (n,); None for 0.
         """
         pieces = _Pieces(lanes, self._quadrature)
         s = np.linspace(0, 1, nodes)

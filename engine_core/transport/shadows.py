@@ -63,7 +63,7 @@ class Shadows:
     def passing(
         self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """The same of shadow rays (K, 3) of any origin, without fog; ``reach`` in lengths of the direction."""
+        """The same of shadow rays (K, 3) of any origin, without fog; reach in lengths of the direction."""
         arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
         if not self._surfaces.any_transparent:
             return arrive, None, 0

@@ -200,7 +200,7 @@ class ScreenPicture:
         """Take off what the net at all nodes has in common: a smooth part of H, found by other nets.
 
         Some pixels are integrated by nets of their own beside this one; their differences, as a part of H
-        that is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds, as before.
+        that is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds.
         """
         width, height = self._bins
         budget = self._left / self._cost

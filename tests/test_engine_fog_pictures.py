@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of fog and lasers: layers, what each is served by, and that all of it is unbiased."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import box, floor
+
+from engine_core import (
+    AreaLight,
+    Camera,
+    Laser,
+    Material,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    SunLight,
+    Volume,
+    World,
+    render,
+)
+from engine_core.integration.integrated import Integrated
+from engine_core.parts import parts_of
+from engine_core.transport.around_light import polar
+from engine_core.transport.camera_hits import Pixels
+from engine_core.transport.direct_light import DirectLight
+from engine_core.transport.silhouettes import silhouettes
+
+CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
+FOG = Volume(scattering=0.12, absorption=0.02, anisotropy=0.3)
+OUTSIDE, INSIDE = (-2.0, 1.5, 4.5), (1.3, 1.0, 1.6)
+
+
+def downwards(position=(0.5, 0.8, 4.0)) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    return matrix
+
+
+def scene(*lights, volume=FOG, reflectance=0.0, **fields) -> Scene:
+    """A block on a floor in fog everywhere."""
+    meshes = [floor(8), box((-0.5, -0.5, 0.1), (0.5, 0.5, 1.1))]
+    materials = [Material(reflectance)] * 2
+    return Scene(CAMERA, meshes, materials, lights, World(volume=0), volumes=[volume], **fields)
+
+
+LIT = {
+    "point": (PointLight(300.0, position=OUTSIDE),),
+    "in the picture": (PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE)),
+    "spot": (SpotLight(500.0, light_to_world=downwards(), angle=0.6),),
+    "ball": (PointLight(300.0, position=OUTSIDE, radius=0.4),),
+    "area": (AreaLight(300.0, light_to_world=downwards(), size=1.5),),
+    "laser": (Laser(50.0, light_to_world=downwards((0.4, -0.6, 3.5)), radius=0.02),),
+}
+
+
+@pytest.mark.parametrize("name", LIT)
+def test_pictures_of_fog_are_unbiased(name):
+    """The mean over seeds, of the whole picture and of its quarters, is that of plain samples."""
+    made = scene(*LIT[name])
+
+    def quarters(film):
+        picture = film.volume + film.laser
+        return picture.reshape(2, 16, 2, 24, 3).mean(axis=(1, 3, 4), dtype=np.float64)
+
+    plain = np.array(
+        [quarters(render(made, Settings(128, integrator="sobol", seed=900 + s))) for s in range(4)]
+    )
+    ours = np.array([quarters(render(made, Settings(8, seed=s))) for s in range(12)])
+    error = np.hypot(ours.std(axis=0, ddof=1) / 12**0.5, plain.std(axis=0, ddof=1) / 2)
+    difference = ours.mean(axis=0) - plain.mean(axis=0)
+    assert (np.abs(difference) < 4.5 * error + 1e-3 * plain.mean()).all()
+
+
+def test_a_picture_is_the_sum_of_its_layers():
+    made = scene(PointLight(300.0, position=OUTSIDE), *LIT["laser"], reflectance=0.6)
+    film = render(made, Settings(4))
+    surface = film.layers[0].radiance
+    assert film.volume.any() and film.laser.any() and surface.any()
+    np.testing.assert_allclose(film.combined[..., :3], surface[..., :3] + film.volume + film.laser, rtol=1e-5)
+    np.testing.assert_array_equal(film.combined[..., 3], surface[..., 3])
+
+
+def test_what_a_scene_lacks_is_never_entered():
+    clear = replace(scene(PointLight(300.0, position=OUTSIDE)), world=World(), volumes=())
+    assert parts_of(clear, DirectLight(clear), Settings(), lambda: None) == []
+    film = render(clear, Settings(1))
+    assert len(film.layers) == 1 and film.combined is film.layers[0].radiance and not film.volume.any()
+    # A sun is behind a fog that fills all space; black surfaces want no light.
+    for made in (scene(SunLight(3.0, angle=0.1)), scene()):
+        assert parts_of(made, DirectLight(made), Settings(), lambda: None) == []
+    told = render(scene(*LIT["ball"]), Settings(4)).statistics
+    assert "no surface reflects" in told["control variate"] and told["fog lit by lights"] == "built"
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (1, 90), (130, 3)])
+@pytest.mark.parametrize("samples", [1, 16])
+def test_pictures_of_any_size_are_finite(size, samples):
+    camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), *size, 0.8)
+    lights = [light for lights in LIT.values() for light in lights]
+    made = replace(scene(*lights, reflectance=0.5), camera=camera)
+    assert np.isfinite(render(made, Settings(samples, threads=2)).combined).all()
+
+
+@pytest.mark.parametrize(
+    "volume",
+    [
+        Volume(absorption=0.3),
+        Volume(absorption=0.3, emission=(1, 0.5, 0.1)),
+        Volume(scattering=1e4),
+        Volume(scattering=1e-9),
+        Volume(scattering=(1, 0, 0), absorption=(0, 1, 0)),
+        Volume(scattering=[[0.1] * 3, [0.3] * 3], anisotropy=[1, -1]),
+    ],
+)
+def test_pictures_of_any_fog_are_finite(volume):
+    lights = [light for lights in LIT.values() for light in lights]
+    for integrator in ("control_variates", "cv_only", "sobol", "quadrature"):
+        settings = Settings(2, integrator=integrator, threads=2)
+        assert np.isfinite(render(scene(*lights, volume=volume), settings).combined).all()
+
+
+def test_threads_and_runs_change_nothing():
+    made = scene(*LIT["area"], *LIT["in the picture"], reflectance=0.3)
+    first, second = (render(made, Settings(4, threads=threads)).combined for threads in (1, 2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("corner", [(0.2, 0.3), (-0.5, -0.5), (0, 0), (-1, 0), (3, -5), (1e-9, -0.5)])
+def test_polar_points_cover_a_pixel_and_take_the_pole_away(corner):
+    x, y = (np.array([c]) for c in corner)
+    n = 400
+    u = np.stack(np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n)).reshape(2, 1, -1)
+    place, weight = polar(x, y, u)
+    at = place.astype(np.float64) + np.array(corner)[:, None, None]
+    assert weight.mean() == pytest.approx(1, rel=2e-3)
+    np.testing.assert_allclose((place * weight).mean(axis=(1, 2)), 0.5, rtol=5e-3)
+
+    def edge(a, b):
+        """The integral of 1 / r over the triangle of the origin and the edge from a to b."""
+        along = (b - a) / np.linalg.norm(b - a)
+        height = a[0] * along[1] - a[1] * along[0]
+        return (
+            0
+            if height == 0
+            else height * (np.arcsinh(b @ along / abs(height)) - np.arcsinh(a @ along / abs(height)))
+        )
+
+    corners = np.array(corner) + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    exact = sum(edge(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
+    assert (weight / np.hypot(*at)).mean() == pytest.approx(exact, rel=2e-3)
+
+
+def test_silhouettes_are_where_depth_jumps():
+    made = DirectLight(scene(PointLight(1.0, position=OUTSIDE)))
+    rays, surfaces = made.stage.rays, made.surfaces
+    found = silhouettes(rays, surfaces, CAMERA.region, lambda f, items: [f(i) for i in items])
+    x, y = (a.ravel() for a in np.indices((48, 32)))
+    u = np.stack(np.meshgrid((np.arange(8) + 0.5) / 8, (np.arange(8) + 0.5) / 8)).reshape(2, 1, -1)
+    u = np.repeat(u, len(x), axis=1).astype(np.float32)
+    depth = surfaces.distance(*rays.rays(x, y, u), rays.reach).reshape(48, 32, -1)
+    inverse = 1 / depth
+    jump = (inverse.max(axis=2) - inverse.min(axis=2)) / inverse.max(axis=2) > 0.2
+    grazing = np.indices((48, 32))[1] > 20  # the floor's horizon
+    assert found[jump & ~grazing].mean() > 0.9
+    assert found[~jump].mean() < 0.05
+
+
+class Wave:
+    """1 + cos of the place and of two more dimensions; over the latter its mean is 1."""
+
+    rest_dimensions, staged = 2, True
+
+    def first(self, bins, u):
+        return type("Stage", (), {"values": None, "lane": None, "place": u[0].ravel()})()
+
+    def rest(self, stage, lane, u):
+        place = np.repeat(stage.place, u.shape[2])
+        u = u.reshape(2, -1)
+        wave = 1 + place * np.cos(2 * np.pi * (u[0] ** 1.3 + u[1])) + u[0] - 0.5
+        return None, np.stack([wave] * 3)
+
+
+def test_one_net_for_all_is_unbiased_over_seeds():
+    pixels = Pixels(np.arange(4, dtype=np.int32), np.zeros(4, np.int32), np.zeros(4, np.int32))
+    u = np.full((2, 4, 1), 0.5, np.float32)
+    for fixed in (True, False):
+        each = np.array(
+            [Integrated(Wave(), 16, seed, fixed=fixed).first(pixels, u).values for seed in range(200)]
+        )
+        error = each[:, 0].std(axis=0) / 200**0.5
+        assert (np.abs(each[:, 0].mean(axis=0) - 1) < 4.5 * error + 1e-6).all()
+        # Alike at all bins, or not.
+        assert (np.ptp(each[:, 0], axis=1).max() < 1e-6) == fixed

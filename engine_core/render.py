@@ -374,9 +374,8 @@ class _Render:
             for core, n in zip((True, False), samples, strict=True)
             if (block.core == core).any()
         ]
-        adding = Lock()
 
-        def sample(number: int) -> None:
+        def sample(number: int) -> np.ndarray:
             integrand, block, which, n = work[number]
             x, y = block.x[which], block.y[which]
             pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._camera.region))
@@ -384,13 +383,16 @@ class _Render:
             for group in points:
                 group.prepare(n)
             sums = sum_samples(integrand, pixels, pixels.key(), points, 0, n, 1, settings.batch_size)
-            with adding:
-                layer.radiance[y - y0, x - x0] += np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
-                layer.sample_count[y - y0, x - x0] += n
+            return np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
 
-        outcome, ended = self._drive(
-            pool, lambda map_, _: map_(sample, range(len(work))), "Sampling around lights"
-        )
+        def build(map_: Callable, _: Callable) -> None:
+            # Summed in one order, whoever is first.
+            for (_, block, which, n), values in zip(work, map_(sample, range(len(work))), strict=True):
+                at = block.y[which] - y0, block.x[which] - x0
+                layer.radiance[at] += values
+                layer.sample_count[at] += n
+
+        outcome, ended = self._drive(pool, build, "Sampling around lights")
         if not ended:
             outcome.result()
             self._integrals[part.name] = f"sampled around {len(by.blocks)}"

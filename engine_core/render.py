@@ -27,7 +27,7 @@ from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
 from .settings import Settings
-from .transport.direct_light import NON_FINITE, DirectLight, DirectLightOverTile, Pixels
+from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import CELL, LightChoice
 
 POLL_SECONDS = 0.05
@@ -179,8 +179,8 @@ class _Render:
         ]
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
         # A picture of what is black needs its depth alone.
-        sampled = self._integrand.shows or (self._parts and not self._parts_done)
-        self._samples = settings.samples if sampled else 1
+        self._sampled = self._integrand.shows or bool(self._parts and not self._parts_done)
+        self._samples = settings.samples
         if self._quadrature:
             self._samples = max(1, self._samples // QUADRATURE_SHARE)
         self._tolerance = 0.0
@@ -208,7 +208,9 @@ class _Render:
         pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
         try:
             ended = self._parts_by_control_variates(pool) or self._by_control_variates(pool)
-            if ended is None:
+            if ended is None and not self._sampled:
+                ended = self._look_for_depth(pool)
+            elif ended is None:
                 begin = time.perf_counter()
                 ended = self._passes(pool)
                 self._stages["seconds sampling"] += time.perf_counter() - begin
@@ -447,6 +449,30 @@ class _Render:
                 return ended
             before += share
         return None
+
+    def _look_for_depth(self, pool: Executor) -> str:
+        """All that there is to see of black surfaces: how far they are, in the middle of each pixel."""
+        rays, surfaces = self._integrand.stage.rays, self._integrand.surfaces
+        (x0, y0, x1, y1), film = self._camera.region, self._surface
+        unscale = np.float32(1 / self._integrand.frame.scale)
+
+        def look(low: int) -> None:
+            self._check()
+            y, x = (a.ravel() for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
+            middle = np.full((rays.dimensions, len(x), 1), 0.5, np.float32)
+            distance = surfaces.distance(*rays.rays(x, y, middle), rays.reach)
+            depth = np.where(distance < rays.reach, (distance + np.float32(rays.clip_start)) * unscale, FAR)
+            film.depth[low - y0 : low - y0 + SEEN_ROWS] = np.minimum(depth, FAR).reshape(-1, x1 - x0)
+
+        outcome, ended = self._drive(
+            pool, lambda map_, _: map_(look, range(y0, y1, SEEN_ROWS)), "Looking for depth"
+        )
+        if not ended:
+            outcome.result()
+            film.combined[..., 3] = 1
+            film.sample_count[:] = 1
+            self._counts[CAMERA] += film.depth.size
+        return ended or "samples"
 
     # -- plain samples -----------------------------------------------------------------------------
 

@@ -275,14 +275,16 @@ class ScreenPicture:
             for part in self._chunks(np.flatnonzero(which), n)
         ]
         map_(few, chunks)
-        deviation = learned_by_blocks(found, pilot, said)
+        rows = np.flatnonzero(pilot)
+        deviation = learned_by_blocks(found.reshape(-1)[rows], rows, said)
         if served.any():
             # What a node says of its own noise is known: few samples would miss what is rare in it.
             own = self._inside.take(self._region[served])
             deviation[served] = np.hypot(deviation[served], own)
         if not served.all():
             deviation[~served] = 0
-            deviation[alone] = learned_by_blocks(found, alone, np.ones_like(said))[alone]
+            rows = np.flatnonzero(alone)
+            deviation[alone] = learned_by_blocks(found.reshape(-1)[rows], rows, np.ones_like(said), rows)
         pilot |= ~served
         cost = np.where(served, self._cost, self._alone_cost)
         budget = self._left - float((self._count * cost).sum())
@@ -393,37 +395,50 @@ def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
-def learned_by_blocks(found: np.ndarray, pilot: np.ndarray, said: np.ndarray) -> np.ndarray:
-    """(H, W) deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
+def learned_by_blocks(
+    found: np.ndarray, rows: np.ndarray, said: np.ndarray, wanted: np.ndarray | None = None
+) -> np.ndarray:
+    """Deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
 
-    found : (H, W) f - h squared in pixels of the ``pilot``. said : (H, W) the nodes' deviation. A pixel's own
-    sample has no say in its own deviation, so that it may be kept.
+    found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
+    wanted : (N,) pixels; None for all, (H, W). A pixel's own sample has no say in its own deviation, so that it
+        may be kept.
     """
+    height, width = said.shape
     variance = np.square(said, dtype=np.float64)
     variance += 1e-4 * variance.mean() + 1e-300
-    found, of_pilot = np.where(pilot, found, 0), np.where(pilot, variance, 0)
-    sums = [_around(_blocks(a)) for a in (found, of_pilot, pilot.astype(np.float64))]
-    height, width = found.shape
-    y, x = np.arange(height) >> LOG_BLOCK, np.arange(width) >> LOG_BLOCK
-    seen, hoped, count = (s[y[:, None], x] for s in sums)
-    seen -= found
-    hoped -= of_pilot
-    count -= pilot
-    seen, hoped, count = (np.maximum(s, 0) for s in (seen, hoped, count))
+    own = variance.reshape(-1)[rows]
+    shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
+    block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
+    sums = [
+        _around(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape))
+        for weights in (found, own, np.ones(len(rows)))
+    ]
     # Of the whole picture what is typical: a few outliers are no reason to sample it all.
     some = sums[2] > 0
     typical = np.median(sums[0][some] / np.maximum(sums[1][some], 1e-300)) if some.any() else 1.0
     typical_mean = np.median(sums[0][some] / sums[2][some]) if some.any() else 0.0
-    prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), variance)
-    ratio = (seen + prior * typical) / (hoped + prior)
-    mean = (seen + FAITH * typical_mean) / (count + FAITH)
-    return np.sqrt(variance * ratio + PLACE * mean)
 
+    def of(seen, hoped, count):
+        prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), 1e-300)
+        ratio = np.where(count > 0, (seen + prior * typical) / np.maximum(hoped + prior, 1e-300), typical)
+        return ratio, PLACE * (seen + FAITH * typical_mean) / (count + FAITH)
 
-def _blocks(a: np.ndarray) -> np.ndarray:
-    """Sums over blocks."""
-    starts = [np.arange(0, n, 1 << LOG_BLOCK) for n in a.shape]
-    return np.add.reduceat(np.add.reduceat(a, starts[0], axis=0, dtype=np.float64), starts[1], axis=1)
+    ratio, mean = of(*sums)
+    less = [s.reshape(-1)[block] for s in sums]
+    own_ratio, own_mean = of(*(np.maximum(a - b, 0) for a, b in zip(less, (found, own, 1), strict=True)))
+    if wanted is None:
+        y, x = np.arange(height) >> LOG_BLOCK, np.arange(width) >> LOG_BLOCK
+        square = variance * ratio[:, x].take(y, axis=0)
+        square += mean[:, x].take(y, axis=0)
+        square.reshape(-1)[rows] = own * own_ratio + own_mean
+        return np.sqrt(square, out=square)
+    at = np.searchsorted(rows, wanted)
+    block = (wanted // width >> LOG_BLOCK) * shape[1] + (wanted % width >> LOG_BLOCK)
+    square = variance.reshape(-1)[wanted] * ratio.reshape(-1)[block] + mean.reshape(-1)[block]
+    same = np.flatnonzero(rows.take(np.minimum(at, len(rows) - 1)) == wanted) if len(rows) else at[:0]
+    square[same] = (own * own_ratio + own_mean).take(at[same])
+    return np.sqrt(square)
 
 
 def _largest_around(a: np.ndarray) -> np.ndarray:

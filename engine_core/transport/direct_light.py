@@ -154,7 +154,9 @@ class DirectLight:
             shader.lambertian and not self._reflectance[:, used].any()
         )
         glows = self.media is not None and (self.media.emits or transparent)
-        self.shows = bool(self.reflects or self.sees or glows or self.transparent or normals)
+        self.shows = bool(
+            not shader.lambertian or self.reflects or self.sees or glows or self.transparent or normals
+        )
 
     # -- choosing among lights ---------------------------------------------------------------------
 

@@ -401,8 +401,8 @@ def learned_by_blocks(
     """Deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
 
     found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
-    wanted : (N,) pixels; None for all, (H, W). A pixel's own sample has no say in its own deviation, so that it
-        may be kept.
+    wanted : (N,) pixels; None for all, (H, W). A pixel's own sample has no say in its own deviation, so that
+        it may be kept.
     """
     height, width = said.shape
     variance = np.square(said, dtype=np.float64)

@@ -25,7 +25,7 @@ from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
-from .transport.ray_rule import NODES, AlongRay, ScatteredAlongRay
+from .transport.ray_rule import BISECTIONS, CHECKS, NODES, AlongRay, ScatteredAlongRay
 from .transport.shadows import Shadows
 from .transport.silhouettes import silhouettes
 from .transport.single_scattering import ScatteredLight, SingleScattering
@@ -36,6 +36,9 @@ Region = tuple[int, int, int, int]
 SHADOW_RAYS = 2
 """In fog, to each light, for each of `Settings.samples`: whole rays with many bring more than a sample of a
 surface does."""
+
+NODE_RAYS = NODES + 2 * BISECTIONS
+"""That a whole ray takes to each light without size, with a shadow on the way."""
 
 MOST_BARE = 16
 """Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""
@@ -219,7 +222,7 @@ def _of_fog(
             elsewhere = None
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check)
-        by = OverScreen(whole, AlongRay(NODES), whole, NODES, whole, 1, outlines, elsewhere)
+        by = OverScreen(whole, AlongRay(NODE_RAYS), whole, NODE_RAYS + CHECKS, whole, 1, outlines, elsewhere)
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)

@@ -31,6 +31,9 @@ CHANNELS = 3
 SHARE = 1 / 3
 """Of the budget, spent on nodes."""
 
+FEWEST = 4096
+"""Nodes and samples of a picture, however small."""
+
 PILOT_ONE_IN = 48
 """One pixel in so many is sampled first, and tells its block how right the nodes' prediction is."""
 
@@ -112,7 +115,8 @@ class ScreenPicture:
         """
         settings, bins = self._settings, self._bins
         alone = settings.integrator == "cv_only"
-        self._left = total = float(settings.samples) * bins[0] * bins[1]
+        # A small picture has as many things in it as a large one.
+        self._left = total = max(float(settings.samples) * bins[0] * bins[1], FEWEST * self._cost)
         began = perf_counter()
         evaluator = NodeEvaluator(
             self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS

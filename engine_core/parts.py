@@ -21,6 +21,7 @@ from .transport.around_light import AroundLight, Block, blocks
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
+from .transport.laser_lit_parts import LitBeams, LitParts
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
@@ -176,7 +177,12 @@ def _by_net(
     outlines: Callable[[Region, Map], np.ndarray],
     elsewhere: np.ndarray | None = None,
     split: int = SPLIT,
+    alone: InnerRule | None = None,
 ) -> OverScreen:
+    """alone : how nodes integrate where polynomials are all of the picture; None for the net."""
+    if settings.integrator == "cv_only" and alone is not None:
+        rays = alone.cost(integrand.rest_dimensions)
+        return OverScreen(integrand, alone, integrand, rays, integrand, split, outlines, elsewhere)
     # The net's own error falls as 1 / points, and should stay below that of all else.
     points = int(np.clip(1 << int(np.log2(settings.samples) / 2 + 4), POINTS, 1024))
     inside = Integrated(integrand, points, settings.seed)
@@ -257,11 +263,11 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, outlines(fog.stretches), split=BEAM_SPLIT)
+        by = _by_net(fog, settings, outlines(fog.stretches), split=BEAM_SPLIT, alone=LitParts())
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
-        by = _by_net(lit, settings, outlines(lit.stretches), split=BEAM_SPLIT)
+        by = _by_net(lit, settings, outlines(lit.stretches), split=BEAM_SPLIT, alone=LitBeams())
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

@@ -18,11 +18,12 @@ import numpy as np
 
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film, Layer
-from .integration.point_sets import PointSet, SobolPoints, staged_points
+from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
-from .parts import AroundLights, Part, Seen, cell_of, parts_of
+from .part_pictures import AroundLightsPicture, SeenPicture
+from .parts import AroundLights, OverScreen, Part, Seen, parts_of
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
@@ -38,11 +39,11 @@ PREPARED_SAMPLES = 1024
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
 
-CORE_SAMPLES, MOST_SAMPLES = 32, 2048
-"""Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
+PICTURES = {OverScreen: ScreenPicture, Seen: SeenPicture, AroundLights: AroundLightsPicture}
+"""What makes a part's layer."""
 
-SEEN_ROWS = 16
-"""Of the picture, whose beams are drawn at once."""
+DEPTH_ROWS = 16
+"""Of the picture, whose depth is looked for at once."""
 
 QUADRATURE_SHARE = 16
 """Samples that stand for one camera ray with a quadrature over the lights."""
@@ -301,105 +302,23 @@ class _Render:
             return None
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
-            if isinstance(part.by, Seen):
-                ended, stages = self._see_part(pool, part, layer), {}
-            elif isinstance(part.by, AroundLights):
-                ended, stages = self._around_lights(pool, part, layer), {}
-            else:
-                ended, stages = self._build_part(pool, part, layer)
-            stages["in all"] = time.perf_counter() - begin
+            picture = PICTURES[type(part.by)](
+                part.by, self._settings, self._camera.region, layer, self._check
+            )
+            outcome, ended = self._drive(pool, picture.build, f"Building {part.name}")
+            if not ended:
+                outcome.result()
+                self._show_all()
+                if isinstance(picture, ScreenPicture) and self._settings.integrator == "control_variates":
+                    ended = self._refine_part(pool, picture, part.name)
+            self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
+            self._integrals[part.name] = picture.told
+            stages = picture.seconds | {"in all": time.perf_counter() - begin}
             self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
             self._counts.update(part.counts())
             if ended:
                 return ended
         return None
-
-    def _build_part(self, pool: Executor, part: Part, layer: Layer) -> tuple[str | None, dict[str, float]]:
-        picture = ScreenPicture(part.by, self._settings, self._camera.region, layer, self._check)
-        outcome, ended = self._drive(pool, picture.build, f"Building the control variate of {part.name}")
-        if not ended:
-            outcome.result()
-            self._show_all()
-            if self._settings.integrator == "control_variates":
-                ended = self._refine_part(pool, picture, part.name)
-        self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
-        self._integrals[part.name] = "built" if picture.regions else "given up: sampled"
-        return ended, picture.seconds
-
-    def _see_part(self, pool: Executor, part: Part, layer: Layer) -> str | None:
-        """What is an integral over the pixel alone."""
-        x0, y0, x1, y1 = self._camera.region
-        points = SobolPoints(range(2), self._settings.seed + 3, 0, dtype=np.float64)
-        points.prepare(max(part.by.points))
-
-        def see(low: int) -> None:
-            y, x = (a.ravel().astype(np.int32) for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
-            pixels = Pixels(x, y, cell_of(x, y, self._camera.region))
-            for touched, means, count in zip(part.by.touched, part.by.means, part.by.points, strict=True):
-                rows = touched(pixels)
-                step = max(1, self._settings.batch_size // count)
-                for chunk in (rows[first : first + step] for first in range(0, len(rows), step)):
-                    self._check()
-                    some = pixels[chunk]
-                    mean, error = means(some, points.points(some.key(), 0, count))
-                    at = some.y - y0, some.x - x0
-                    layer.radiance[at] += np.clip(mean, -LARGEST, LARGEST).T
-                    layer.standard_error[at] += np.minimum(error, LARGEST).T
-            layer.control_variate[low - y0 : low - y0 + SEEN_ROWS] = layer.radiance[
-                low - y0 : low - y0 + SEEN_ROWS
-            ]
-
-        outcome, ended = self._drive(
-            pool, lambda map_, _: map_(see, range(y0, y1, SEEN_ROWS)), f"Drawing {part.name}"
-        )
-        if not ended:
-            outcome.result()
-            self._integrals[part.name] = "seen by camera rays alone"
-            self._show_all()
-        return ended
-
-    def _around_lights(self, pool: Executor, part: Part, layer: Layer) -> str | None:
-        """Pixels about lights in the picture, each integrated by itself."""
-        by, settings = part.by, self._settings
-        x0, y0 = self._camera.region[:2]
-        close = int(np.clip(CORE_SAMPLES * settings.samples, 2 * CORE_SAMPLES, MOST_SAMPLES))
-        few = int(np.clip(4 * settings.samples, 16, 128))
-        work = [
-            (integrand, block, block.core == core, n)
-            for block, own, beside, others in zip(by.blocks, by.own, by.beside, by.others, strict=True)
-            for integrands, samples in (
-                ([own], (close, close // 8)),
-                (beside, (close // 2, close // 2)),
-                (others, (few, few)),
-            )
-            for integrand in integrands
-            for core, n in zip((True, False), samples, strict=True)
-            if (block.core == core).any()
-        ]
-
-        def sample(number: int) -> np.ndarray:
-            integrand, block, which, n = work[number]
-            x, y = block.x[which], block.y[which]
-            pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._camera.region))
-            points = staged_points("sobol", 2, integrand.rest_dimensions, 1, settings.seed + 5 + number)
-            for group in points:
-                group.prepare(n)
-            sums = sum_samples(integrand, pixels, pixels.key(), points, 0, n, 1, settings.batch_size)
-            return np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
-
-        def build(map_: Callable, _: Callable) -> None:
-            # Summed in one order, whoever is first.
-            for (_, block, which, n), values in zip(work, map_(sample, range(len(work))), strict=True):
-                at = block.y[which] - y0, block.x[which] - x0
-                layer.radiance[at] += values
-                layer.sample_count[at] += n
-
-        outcome, ended = self._drive(pool, build, "Sampling around lights")
-        if not ended:
-            outcome.result()
-            self._integrals[part.name] = f"sampled around {len(by.blocks)}"
-            self._show_all()
-        return ended
 
     def _refine_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
         outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
@@ -458,14 +377,14 @@ class _Render:
 
         def look(low: int) -> None:
             self._check()
-            y, x = (a.ravel() for a in np.mgrid[low : min(low + SEEN_ROWS, y1), x0:x1])
+            y, x = (a.ravel() for a in np.mgrid[low : min(low + DEPTH_ROWS, y1), x0:x1])
             middle = np.full((rays.dimensions, len(x), 1), 0.5, np.float32)
             distance = surfaces.distance(*rays.rays(x, y, middle), rays.reach)
             depth = np.where(distance < rays.reach, (distance + np.float32(rays.clip_start)) * unscale, FAR)
-            film.depth[low - y0 : low - y0 + SEEN_ROWS] = np.minimum(depth, FAR).reshape(-1, x1 - x0)
+            film.depth[low - y0 : low - y0 + DEPTH_ROWS] = np.minimum(depth, FAR).reshape(-1, x1 - x0)
 
         outcome, ended = self._drive(
-            pool, lambda map_, _: map_(look, range(y0, y1, SEEN_ROWS)), "Looking for depth"
+            pool, lambda map_, _: map_(look, range(y0, y1, DEPTH_ROWS)), "Looking for depth"
         )
         if not ended:
             outcome.result()

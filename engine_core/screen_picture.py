@@ -82,7 +82,7 @@ BEYOND_HOPE = 0.5
 class ScreenPicture:
     """One layer of a picture: built, shown whole, and refined where its error is.
 
-    regions, nodes : how many there are. seconds : by stage.
+    regions, nodes : how many there are. seconds : by stage. told : what was done, for people.
     """
 
     def __init__(
@@ -105,6 +105,7 @@ class ScreenPicture:
         self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
         self.regions = self.nodes = 0
+        self.told = "given up: sampled"
         self.seconds: dict[str, float] = {}
         self._tree: RegionTree | None = None
 
@@ -135,7 +136,7 @@ class ScreenPicture:
             self.regions, self.nodes = len(tree), tree.store.count
             self._left -= evaluator.evaluations / worth
             if helps or alone:
-                self._tree = tree
+                self._tree, self.told = tree, "built"
         grown = perf_counter()
         self._integrate()
         if self._fresh is not None and self.regions:
@@ -159,25 +160,23 @@ class ScreenPicture:
         leaves, values = tree.leaves(), tree.store.values
         weights = face_weights(2)
         density = neighbourly(leaves.density, leaves, tree.store.count)
-        inside = np.zeros(len(leaves))
-        if tree.store.spread is not None:
-            spread, edges = tree.store.spread
-            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
-            # Where some nodes see a shadow's edge and others do not, there is its outline, steep as a root.
-            edges = edges.take(leaves.nodes)
-            mixed = edges.min(axis=1) < edges.max(axis=1)
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
+        inside = np.zeros(len(leaves))
         if tree.store.spread is not None:
-            inside = np.hypot(inside, OUTLINE_OF_SHADOW * mixed * first.sum(axis=1))
+            spread, *edges = np.atleast_2d(tree.store.spread)
+            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
+            for of_nodes in (e.take(leaves.nodes) for e in edges):
+                # Where some see a shadow's edge and others do not, there is its outline, steep as a root.
+                mixed = of_nodes.min(axis=1) < of_nodes.max(axis=1)
+                inside = np.hypot(inside, OUTLINE_OF_SHADOW * mixed * first.sum(axis=1))
         variance = np.maximum(np.einsum("rnc,n->rc", coefficients**2, weights) - first**2, 0)
         # One pixel's own variance can't be told from its noise: only where regions are no longer halved.
         hopeless = leaves.density**2 > BEYOND_HOPE * np.sqrt(variance).sum(axis=1) ** 2
         log = leaves.size.astype(np.int64) - BIN
         hopeless &= (log.sum(axis=0) == 0) & (leaves.density > 0)
         self._deviation, self._inside = density.astype(np.float32), inside.astype(np.float32)
-        self._deviation_of_f = np.hypot(np.sqrt(variance).sum(axis=1), inside).astype(np.float32)
         self._start = (leaves.start >> BIN).astype(np.int32)
         self._per_pixel = np.ldexp(1.0, -log).astype(np.float32)
         plain = np.flatnonzero(hopeless)
@@ -187,8 +186,8 @@ class ScreenPicture:
             edge = [1 << int(n) for n in divmod(int(kind), 64)]
             x, y = (self._start[d].take(chosen) for d in range(2))
             corner = y * width + x
-            inside = np.arange(edge[1])[:, None] * width + np.arange(edge[0])
-            at = inside.reshape(-1, 1) + corner
+            within = np.arange(edge[1])[:, None] * width + np.arange(edge[0])
+            at = within.reshape(-1, 1) + corner
             # One product: means over pixels, times the regions' node values.
             each = np.einsum("xi,yj->yxij", *(bin_means(n) for n in edge)).reshape(-1, 9).astype(np.float32)
             grid = self._coefficients.take(chosen, axis=0).transpose(1, 0, 2).reshape(9, -1)
@@ -198,7 +197,7 @@ class ScreenPicture:
             is_plain = np.zeros(len(leaves) + 1, bool)
             is_plain[plain] = True
             self._outline |= is_plain[self._region]
-        del self._tree
+        self._tree = None
 
     def _correct(self, map_: Map) -> None:
         """Take off what the net at all nodes has in common: a smooth part of H, found by other nets.

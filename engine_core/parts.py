@@ -28,7 +28,7 @@ from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
 from .transport.ray_rule import BISECTIONS, CHECKS, NODES, AlongRay, ScatteredAlongRay
 from .transport.shadows import Shadows
-from .transport.silhouettes import silhouettes
+from .transport.silhouettes import Silhouettes
 from .transport.single_scattering import ScatteredLight, SingleScattering
 
 Map = Callable[[Callable, Iterable], list]
@@ -151,6 +151,7 @@ def parts_of(
     """
     parts: list[Part] = []
     scattering = None
+    outlines = Silhouettes(surfaces.stage.rays, surfaces.surfaces)
     if surfaces.media is not None:
         scattering = SingleScattering(
             surfaces.frame,
@@ -161,13 +162,13 @@ def parts_of(
             surfaces.stage.rays,
             settings,
         )
-        parts += _of_fog(scattering, scene.camera.region, settings, check)
+        parts += _of_fog(scattering, scene.camera.region, outlines, settings, check)
     # Their fog is their own business.
     shadows = Shadows(surfaces.surfaces, surfaces.shader, settings.transparent_bounces)
     lasers = Lasers.of(scene, surfaces.frame, surfaces.media, shadows)
     if lasers is not None:
         surfaces.messages += lasers.messages
-        parts += _of_lasers(lasers, scene, surfaces, scattering, shadows, settings, check)
+        parts += _of_lasers(lasers, scene, surfaces, scattering, shadows, outlines, settings, check)
     return parts
 
 
@@ -191,11 +192,12 @@ def _by_net(
 
 
 def _of_fog(
-    scattering: SingleScattering, region: Region, settings: Settings, check: Callable[[], None]
+    scattering: SingleScattering,
+    region: Region,
+    outlines: Silhouettes,
+    settings: Settings,
+    check: Callable[[], None],
 ) -> list[Part]:
-    def outlines(region: Region, map_: Map) -> np.ndarray:
-        return silhouettes(scattering.rays, scattering.surfaces, region, map_)
-
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
         """Of lights of all kinds: whole rays of those without size, points of the others."""
         found: list[StagedIntegrand] = []
@@ -244,6 +246,7 @@ def _of_lasers(
     surfaces: DirectLight,
     scattering: SingleScattering | None,
     shadows: Shadows,
+    outlines: Silhouettes,
     settings: Settings,
     check: Callable[[], None],
 ) -> list[Part]:
@@ -254,20 +257,19 @@ def _of_lasers(
     )
     stage = surfaces.stage
 
-    def outlines(stretches: Sequence[Stretch]) -> Callable[[Region, Map], np.ndarray]:
+    def beside(stretches: Sequence[Stretch]) -> Callable[[Region, Map], np.ndarray]:
         def found(region: Region, map_: Map) -> np.ndarray:
-            beside = beside_beams(stage.rays, stretches, region, BESIDE)
-            return beside | silhouettes(stage.rays, surfaces.surfaces, region, map_)
+            return outlines(region, map_) | beside_beams(stage.rays, stretches, region, BESIDE)
 
         return found
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, outlines(fog.stretches), split=BEAM_SPLIT, alone=LitParts())
+        by = _by_net(fog, settings, beside(fog.stretches), split=BEAM_SPLIT, alone=LitParts())
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
-        by = _by_net(lit, settings, outlines(lit.stretches), split=BEAM_SPLIT, alone=LitBeams())
+        by = _by_net(lit, settings, beside(lit.stretches), split=BEAM_SPLIT, alone=LitBeams())
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

@@ -60,3 +60,19 @@ def silhouettes(
         first[1 - axis], last[1 - axis] = slice(None, -1), slice(1, None)
         found |= crossed[tuple(first)] | crossed[tuple(last)]
     return found
+
+
+class Silhouettes:
+    """The same of one picture, traced once for whoever asks."""
+
+    def __init__(self, rays: CameraRays, surfaces: Surfaces) -> None:
+        self._rays, self._surfaces = rays, surfaces
+        self._found: dict[tuple[int, int, int, int], np.ndarray] = {}
+
+    def __call__(
+        self, region: tuple[int, int, int, int], map_: Callable[[Callable, Iterable], list]
+    ) -> np.ndarray:
+        """As `silhouettes`; the caller's own copy."""
+        if region not in self._found:
+            self._found[region] = silhouettes(self._rays, self._surfaces, region, map_)
+        return self._found[region].copy()

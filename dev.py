@@ -400,10 +400,28 @@ def test(arguments: argparse.Namespace) -> int:
     options = ["--full"] * arguments.full + arguments.options
     if not any((ROOT / option.partition("::")[0]).exists() for option in options):
         options.append("tests")
+    if len(found) > 1:
+        build(this_platform(), next(iter(found.values())))  # or each would, at the same time
     code = 0
-    for version, python in found.items():
-        say(f"testing with Blender {version} on Python {BLENDERS[version]}")
-        code = subprocess.call([python, "-m", "pytest", *options], cwd=ROOT) or code
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        running = []
+        for version, python in found.items():
+            # Most tests keep one core busy, so all Pythons run at once. The first is seen at work, the
+            # others speak when it is done.
+            told = open(Path(folder, version), "w+") if running else None
+            ask = subprocess.DEVNULL if running else None
+            command = [python, "-m", "pytest", *options]
+            running.append(
+                (version, subprocess.Popen(command, cwd=ROOT, stdin=ask, stdout=told, stderr=told), told)
+            )
+        for version, process, told in running:
+            say(f"testing with Blender {version} on Python {BLENDERS[version]}")
+            code = process.wait() or code
+            if told:
+                told.seek(0)
+                shutil.copyfileobj(told, sys.stdout)
+                sys.stdout.flush()
+                told.close()
     return code
 
 

@@ -27,7 +27,7 @@ import subprocess
 import tempfile
 import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stdout
+from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 from types import ModuleType
 
@@ -402,18 +402,16 @@ def test(arguments: argparse.Namespace) -> int:
         options.append("tests")
     if len(found) > 1:
         build(this_platform(), next(iter(found.values())))  # or each would, at the same time
-    code = 0
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        running = []
+    # Most tests keep one core busy, so all Pythons run at once: the first is seen at work, the others
+    # speak when it is done.
+    code, running = 0, []
+    with ExitStack() as stack:
         for version, python in found.items():
-            # Most tests keep one core busy, so all Pythons run at once. The first is seen at work, the
-            # others speak when it is done.
-            told = open(Path(folder, version), "w+") if running else None
+            told = stack.enter_context(tempfile.TemporaryFile("w+")) if running else None
             ask = subprocess.DEVNULL if running else None
             command = [python, "-m", "pytest", *options]
-            running.append(
-                (version, subprocess.Popen(command, cwd=ROOT, stdin=ask, stdout=told, stderr=told), told)
-            )
+            process = subprocess.Popen(command, cwd=ROOT, stdin=ask, stdout=told, stderr=told)
+            running.append((version, process, told))
         for version, process, told in running:
             say(f"testing with Blender {version} on Python {BLENDERS[version]}")
             code = process.wait() or code
@@ -421,7 +419,6 @@ def test(arguments: argparse.Namespace) -> int:
                 told.seek(0)
                 shutil.copyfileobj(told, sys.stdout)
                 sys.stdout.flush()
-                told.close()
     return code
 
 

@@ -161,10 +161,12 @@ def mixed_lights(count: int, seed: int = 7, power: float = 150.0) -> list[Light]
     return lights
 
 
-def pictures(scene: Scene, seeds: int, settings: Settings | None = None, **choices: Any) -> np.ndarray:
-    """(seeds, H, W, 3) float64: renders that differ by their seed alone."""
+def pictures(
+    scene: Scene, seeds: int, settings: Settings | None = None, first: int = 1000, **choices: Any
+) -> np.ndarray:
+    """(seeds, H, W, 3) float64: renders that differ by their seed alone, ``first`` and those after it."""
     base = replace(settings or Settings(), threads=1, **choices)
-    films = (render(scene, replace(base, seed=1000 + i)) for i in range(seeds))
+    films = (render(scene, replace(base, seed=first + i)) for i in range(seeds))
     return np.stack([film.combined[..., :3] for film in films]).astype(np.float64)
 
 

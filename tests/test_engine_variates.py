@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from functools import cache
 
 import numpy as np
 import pytest
 from scenes import WHITE, area_light, assert_mean, blocks, floor, mixed_lights, pictures, place, studio
+from test_engine_unbiased import CONVERGED, assert_true_in_the_mean, truth
 from test_engine_unbiased import SCENES as UNBIASED
-from test_engine_unbiased import assert_true_in_the_mean, truth
 
 from engine_core import AreaLight, Camera, Film, Material, PointLight, Scene, Settings, Sink, World, render
 from engine_core.image.film import FAR
@@ -68,7 +69,7 @@ def test_plain_samples_have_no_control_variate(integrator):
 
 def test_control_variates_beat_sobol():
     scene = studio(96, 64, [area_light()])
-    converged = pictures(scene, 2, samples=1024, integrator="sobol").mean(axis=0)
+    converged = pictures(scene, 4, samples=256, **CONVERGED).mean(axis=0)
     errors = {
         name: np.square(pictures(scene, 4, samples=16, integrator=name) - converged).mean()
         for name in ("sobol", "control_variates")
@@ -78,7 +79,8 @@ def test_control_variates_beat_sobol():
 
 def test_the_standard_error_is_that_of_the_picture():
     scene, seeds = SCENES["one light"], 12
-    converged = pictures(scene, 2, samples=4096, integrator="sobol").mean(axis=0)
+    # Off by 1/14 of the error that is judged.
+    converged = pictures(scene, 4, samples=512, **CONVERGED).mean(axis=0)
     films = [
         render(scene, Settings(samples=16, seed=seed, standard_error=True, **CV)) for seed in range(seeds)
     ]
@@ -96,13 +98,19 @@ def test_thread_count_and_repetition_change_no_bit(name):
             assert np.array_equal(getattr(film, field), getattr(films[0], field)), field
 
 
+OPEN = dataclasses.replace(SCENES["one light"], meshes=SCENES["one light"].meshes[1:])
+
+
+@cache
+def open_film() -> Film:
+    return render(OPEN, Settings(samples=1024, transparent=True, normals=True, integrator="sobol"))
+
+
 @pytest.mark.parametrize("integrator", ["control_variates", "cv_only", "quadrature"])
 def test_depth_normals_and_alpha_are_there(integrator):
-    scene = dataclasses.replace(SCENES["one light"], meshes=SCENES["one light"].meshes[1:])
-    settings = Settings(samples=16, transparent=True, normals=True)
-    wanted = render(scene, dataclasses.replace(settings, samples=64))
-    film = render(scene, dataclasses.replace(settings, integrator=integrator))
-    alpha = render(scene, dataclasses.replace(settings, samples=1024)).combined[..., 3]
+    wanted = open_film()
+    film = render(OPEN, Settings(samples=16, transparent=True, normals=True, integrator=integrator))
+    alpha = wanted.combined[..., 3]
     inside, outside = alpha == 1, alpha == 0
     assert inside.any() and outside.any()
     assert (film.combined[inside, 3] == 1).all() and (film.combined[outside, 3] == 0).all()
@@ -112,23 +120,27 @@ def test_depth_normals_and_alpha_are_there(integrator):
     assert (film.sample_count >= 1).all()
 
 
+@cache
+def converged(name: str) -> np.ndarray:
+    return pictures(SCENES[name], 1, samples=1024, **CONVERGED)[0]
+
+
 @pytest.mark.parametrize(("integrator", "most"), [("cv_only", 0.1), ("quadrature", 0.1)])
 @pytest.mark.parametrize("name", ["one light", "spheres"])
 def test_what_is_biased_is_nearly_right(name, integrator, most):
-    scene = SCENES[name]
-    converged = pictures(scene, 1, samples=1024, integrator="sobol")[0]
-    film = render(scene, Settings(samples=64, integrator=integrator))
-    difference = film.combined[..., :3] - converged
-    assert np.sqrt(np.square(difference).mean()) < most * converged.mean()
-    assert np.abs(difference.mean()) < 0.03 * converged.mean()
+    film = render(SCENES[name], Settings(samples=64, integrator=integrator))
+    wanted = converged(name)
+    difference = film.combined[..., :3] - wanted
+    assert np.sqrt(np.square(difference).mean()) < most * wanted.mean()
+    assert np.abs(difference.mean()) < 0.03 * wanted.mean()
 
 
 def test_quadrature_has_no_noise_where_nothing_casts_a_shadow():
     scene = dataclasses.replace(SCENES["one light"], meshes=SCENES["one light"].meshes[:1])
     low = slice(0, 8)  # of the floor, far from its edge
-    converged = pictures(scene, 1, samples=1024, integrator="sobol")[0][low]
+    wanted = pictures(scene, 1, samples=1024, integrator="sobol")[0][low]
     film = render(scene, Settings(samples=16, integrator="quadrature"))
-    assert np.abs(film.combined[low, :, :3] / converged - 1).max() < 0.03
+    assert np.abs(film.combined[low, :, :3] / wanted - 1).max() < 0.03
 
 
 def test_cv_only_says_when_it_cannot_serve():

@@ -210,7 +210,7 @@ def test_the_whole_picture_comes_first_and_then_its_tiles():
 
 def test_cancel_while_refining_keeps_the_control_variate():
     sink = Watcher(cancel_after=1)
-    film = render(studio(300, 300, [area_light()]), Settings(samples=64, **CV), sink)
+    film = render(studio(160, 160, [area_light()]), Settings(samples=64, **CV), sink)
     assert film.stopped_by == "cancel"
     left = film.sample_count == 0
     assert left.any()

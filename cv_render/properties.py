@@ -311,6 +311,7 @@ def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
         time_limit=chosen.time_limit,
         threads=render.threads if render.threads_mode == "FIXED" else 0,
         transparent=render.film_transparent,
+        depth=view_layer.use_pass_z,
         normals=view_layer.use_pass_normal,
         standard_error=view_layer.cv_render.use_pass_standard_error,
         tile_size=int(chosen.tile_size),

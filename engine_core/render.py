@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -210,7 +210,8 @@ class _Render:
         try:
             ended = self._parts_by_control_variates(pool) or self._by_control_variates(pool)
             if ended is None and not self._sampled:
-                ended = self._look_for_depth(pool)
+                self._surface.combined[..., 3] = 1
+                ended = self._look_for_depth(pool) if self._settings.depth else "samples"
             elif ended is None:
                 begin = time.perf_counter()
                 ended = self._passes(pool)
@@ -271,9 +272,7 @@ class _Render:
 
         map_ : runs a function over items on the workers. enough : whether to make do with what there is.
         """
-
-        def map_(function, items):
-            return list(pool.map(_quietly, repeat(function), items))
+        map_ = _map_on(pool)
 
         def enough() -> bool:
             # Half of the time is the samples', to which the polynomials are worth little alone.
@@ -288,7 +287,7 @@ class _Render:
 
     def _show(self, x0: int, y0: int, x1: int, y1: int) -> None:
         if self._sink.watched:
-            self._film.compose(x0, y0, x1, y1)
+            self._film.compose(x0, y0, x1, y1, self._settings.standard_error)
             self._sink.tile(self._film, x0, y0, x1, y1)
 
     def _show_all(self) -> None:
@@ -334,7 +333,7 @@ class _Render:
         ended = self._wait(
             pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True
         )
-        picture.finish()
+        picture.finish(_map_on(pool))
         self._show_all()
         return ended
 
@@ -388,7 +387,6 @@ class _Render:
         )
         if not ended:
             outcome.result()
-            film.combined[..., 3] = 1
             film.sample_count[:] = 1
             self._counts[CAMERA] += film.depth.size
         return ended or "samples"
@@ -623,7 +621,7 @@ class _Render:
     def _report(self) -> None:
         end = time.perf_counter()
         film = self._film
-        film.compose(0, 0, *self._camera.region_size)
+        film.compose(0, 0, *self._camera.region_size, self._settings.standard_error)
         if not self._parts_done:
             for part in self._parts:
                 self._counts.update(part.counts())
@@ -646,6 +644,15 @@ class _Render:
             "seconds rendering": end - self._built,
             "seconds total": end - self._begin,
         }
+
+
+def _map_on(pool: Executor) -> Callable:
+    """What runs a function over items on the workers, and returns the results in order."""
+
+    def map_(function: Callable, items: Iterable) -> list:
+        return list(pool.map(_quietly, repeat(function), items))
+
+    return map_
 
 
 def _quietly(function: Callable, *arguments: Any) -> Any:

@@ -40,6 +40,12 @@ PILOT_ONE_IN = 48
 LOG_BLOCK = 3
 """log2 of the edge in pixels of the blocks that pilot samples speak for, with the blocks around."""
 
+ROWS = 64
+"""Of the picture at once; whole blocks."""
+
+PIXELS_AT_ONCE = 1 << 16
+"""Whose polynomials are integrated, about."""
+
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
@@ -69,6 +75,18 @@ OUTLINE_OF_SHADOW = 0.03
 
 FAITH = 0.5
 """How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
+
+OUTLINE_SAMPLES = 8
+"""Of f itself where no polynomial is, at least."""
+
+OUTLINE_WEIGHT = 2.0
+"""Of their deviation: across an edge the error of a net falls faster than by the root of its points."""
+
+NEAR = 4
+"""Pixels from an outline, where more of it may be that was not found: none of them is left to chance."""
+
+FLOOR = 0.002
+"""Deviation of a sample, of the picture's mean radiance, below which no node is believed."""
 
 MOST = 1 << 12
 """Samples of a pixel at most."""
@@ -138,22 +156,23 @@ class ScreenPicture:
             if helps or alone:
                 self._tree, self.told = tree, "built"
         grown = perf_counter()
-        self._integrate()
+        self._integrate(map_)
         if self._fresh is not None and self.regions:
             self._correct(map_)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
-        self._write(slice(None), slice(None))
+        self._show(map_)
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
         return Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._frame))
 
-    def _integrate(self) -> None:
+    def _integrate(self, map_: Map) -> None:
         """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
         width, height = self._bins
         self._mean = np.zeros((height, width, CHANNELS), np.float32)
         self._region = np.full((height, width), -1, np.int32)
         self._residual = np.zeros_like(self._mean)
+        self._deviation = self._inside = np.zeros(0, np.float32)
         if self._tree is None:
             return
         tree = self._tree
@@ -181,18 +200,26 @@ class ScreenPicture:
         self._per_pixel = np.ldexp(1.0, -log).astype(np.float32)
         plain = np.flatnonzero(hopeless)
         code = log[0] * 64 + log[1]
+        each = {}
+        pieces = []
         for kind in np.unique(code):
-            chosen = np.flatnonzero(code == kind)
-            edge = [1 << int(n) for n in divmod(int(kind), 64)]
+            edge = tuple(1 << int(n) for n in divmod(int(kind), 64))
+            # Means over pixels, of the nodes' polynomials.
+            weights = np.einsum("xi,yj->yxij", *(bin_means(n) for n in edge)).reshape(-1, 9)
+            each[edge] = weights.astype(np.float32)
+            chosen, step = np.flatnonzero(code == kind), max(1, PIXELS_AT_ONCE // len(weights))
+            pieces += [(edge, chosen[low : low + step]) for low in range(0, len(chosen), step)]
+
+        def means(piece: tuple[tuple[int, int], np.ndarray]) -> None:
+            edge, chosen = piece
             x, y = (self._start[d].take(chosen) for d in range(2))
-            corner = y * width + x
             within = np.arange(edge[1])[:, None] * width + np.arange(edge[0])
-            at = within.reshape(-1, 1) + corner
-            # One product: means over pixels, times the regions' node values.
-            each = np.einsum("xi,yj->yxij", *(bin_means(n) for n in edge)).reshape(-1, 9).astype(np.float32)
+            at = within.reshape(-1, 1) + (y * width + x)
             grid = self._coefficients.take(chosen, axis=0).transpose(1, 0, 2).reshape(9, -1)
-            self._mean.reshape(-1, CHANNELS)[at] = (each @ grid).reshape(*at.shape, CHANNELS)
+            self._mean.reshape(-1, CHANNELS)[at] = (each[edge] @ grid).reshape(*at.shape, CHANNELS)
             self._region.reshape(-1)[at] = chosen
+
+        map_(means, pieces)
         if plain.size:
             is_plain = np.zeros(len(leaves) + 1, bool)
             is_plain[plain] = True
@@ -245,23 +272,23 @@ class ScreenPicture:
         served = (self._region >= 0) & ~self._outline
         self._approximate = served
         # H stays on show until samples are there; from here on it is no part of a plain pixel.
-        self._mean[~served] = 0
-        said = np.ones((height, width), np.float32)
-        if served.any():
-            said[served] = self._deviation.take(self._region[served])
+        plain = np.flatnonzero(~served)
+        self._mean.reshape(-1, CHANNELS)[plain] = 0
+        alone = plain
+        if self._elsewhere is not None:
+            alone = plain[~self._elsewhere.T.reshape(-1)[plain]]
         self._points = staged_points("sobol", 2, self._sampled.rest_dimensions, 1, settings.seed + 1)
         self._alone_points = staged_points(
             "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
         )
-        self._prepare(2)
+        self._prepare(OUTLINE_SAMPLES)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
-        pilot = evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served
+        pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
         self._count = np.zeros((height, width), np.int32)
-        self._count[pilot] = 1
-        alone = ~served if self._elsewhere is None else ~served & ~self._elsewhere.T
-        self._count[alone] = 2
-        found = np.zeros((height, width), np.float32)
+        self._count.reshape(-1)[pilot] = 1
+        self._count.reshape(-1)[alone] = OUTLINE_SAMPLES
+        found = np.zeros(height * width, np.float32)
 
         def few(chunk: tuple[int, np.ndarray]) -> None:
             n, part = chunk
@@ -269,55 +296,85 @@ class ScreenPicture:
             residual = self._residuals(x, y, n)
             self._residual[y, x] = residual.mean(axis=1)
             # Of f itself, how much its samples differ tells what h would of f - h.
-            square = residual[:, 0] if n == 1 else (residual[:, 0] - residual[:, 1]) / np.sqrt(2)
-            found[y, x] = np.square(np.abs(square).sum(axis=1))
+            if n > 1:
+                residual = (residual[:, ::2] - residual[:, 1::2]) / np.sqrt(2)
+            found[part] = np.square(np.abs(residual).sum(axis=2)).mean(axis=1)
 
         chunks = [
             (n, part)
-            for n, which in ((1, pilot), (2, alone))
-            for part in self._chunks(np.flatnonzero(which), n)
+            for n, which in ((OUTLINE_SAMPLES, alone), (1, pilot))
+            for part in self._chunks(which, n)
         ]
         map_(few, chunks)
-        rows = np.flatnonzero(pilot)
-        deviation = learned_by_blocks(found.reshape(-1)[rows], rows, said)
-        if served.any():
+        # Of each region, and of none.
+        of_region, inside = (np.append(a, np.float32(0)) for a in (self._deviation, self._inside))
+        said = of_region.take(self._region, mode="wrap")
+        learned = Learned.of(found[pilot], pilot, said, float(self._mean.mean()) * CHANNELS)
+        chance = np.empty((height, width), np.float32)
+        deviation = np.empty((height, width), np.float32)
+        dim = 0.25 * float(self._mean.mean()) * CHANNELS + 1e-30
+        allowed = VISIBLE / np.sqrt(settings.samples)
+        peaks = found.copy()
+        peaks[alone] = 0
+        peaks = np.sqrt(_largest_of_blocks(peaks.reshape(height, width))) / PEAK
+
+        def expect(rows: slice) -> None:
+            """Deviations, and the least chances, of some rows of pixels."""
+            here = self._region[rows]
             # What a node says of its own noise is known: few samples would miss what is rare in it.
-            own = self._inside.take(self._region[served])
-            deviation[served] = np.hypot(deviation[served], own)
-        if not served.all():
-            deviation[~served] = 0
-            rows = np.flatnonzero(alone)
-            deviation[alone] = learned_by_blocks(found.reshape(-1)[rows], rows, np.ones_like(said), rows)
-        pilot |= ~served
-        cost = np.where(served, self._cost, self._alone_cost)
-        budget = self._left - float((self._count * cost).sum())
-        # Where a sample is cheaper, more of them are worth it.
-        cheap = np.sqrt(self._cost / cost)
-        mean_cost = float((deviation * cheap * cost).sum()) / max(float((deviation * cheap).sum()), 1e-300)
-        budget /= max(mean_cost, 1.0)
-        due, chance = sample_counts((deviation * cheap).ravel(), max(budget, 1), DEFENSIVE, CHANCE / dear)
-        due, chance = np.minimum(due, MOST).reshape(height, width), chance.reshape(height, width)
-        if served.any():
+            own = inside.take(here, mode="wrap")
+            deviation[rows] = learned.deviation(said[rows], rows, own)
             # What is sampled by chance is noisier by it: only where none sees that, whatever it costs.
-            brightness = np.maximum(self._mean.sum(axis=2), 0)
-            allowed = VISIBLE / np.sqrt(settings.samples) * (brightness + 0.25 * brightness.mean() + 1e-300)
-            peaks = np.sqrt(_largest_around(np.where(pilot, found, 0)))
-            least = np.maximum(np.square(deviation / allowed), peaks / (PEAK * allowed))
-            np.minimum(least, 1, out=least)
-            chance[served] = np.maximum(chance[served], least[served])
-        kept = drawn(np.where(pilot, 1, chance).ravel(), settings.seed + 7).reshape(height, width)
-        self._chance = np.where(pilot, 1, chance).astype(np.float32)
-        due = np.where(kept, due, 0)
-        due = np.where(served | alone, np.maximum(due, self._count), 0)
-        self._due = due.astype(np.int32)
-        self._deviation_learned = deviation
+            bright = self._mean[rows].sum(axis=2)
+            np.maximum(bright, 0, out=bright)
+            bright += np.float32(dim)
+            bright *= np.float32(allowed)
+            least = np.square(deviation[rows] / bright)
+            np.divide(_of_pixels(peaks, rows, width), bright, out=bright)
+            np.maximum(least, bright, out=least)
+            np.minimum(least, 1, out=chance[rows])
+
+        map_(expect, self._rows())
+        deviation.reshape(-1)[pilot] = learned.of_samples(
+            inside.take(self._region.reshape(-1)[pilot], mode="wrap")
+        )
+        deviation.reshape(-1)[plain] = 0
+        if alone.size:
+            deviation.reshape(-1)[alone] = Learned.of(
+                found[alone], alone, np.ones_like(said), 0.0
+            ).of_samples()
+        # Where a sample is cheaper, or brings more, more of them are worth it.
+        weight = OUTLINE_WEIGHT * np.sqrt(self._cost / self._alone_cost)
+        budget = self._left - len(pilot) * self._cost - len(alone) * OUTLINE_SAMPLES * self._alone_cost
+        of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
+        of_served = float(deviation.sum(dtype=np.float64)) - of_alone
+        mean_cost = (of_served * self._cost + weight * of_alone * self._alone_cost) / max(
+            of_served + weight * of_alone, 1e-300
+        )
+        budget /= max(mean_cost, 1.0)
+        wanted = deviation.ravel()
+        if weight != 1:
+            wanted = wanted.copy()
+            wanted[alone] *= weight
+        due, least = sample_counts(wanted, max(budget, 1), DEFENSIVE, CHANCE / dear)
+        np.maximum(chance, least.reshape(height, width), out=chance)
+        chance.reshape(-1)[pilot] = 1
+        # Next to an outline there may be a bit of it that was not seen.
+        chance[_within(~served, NEAR)] = 1
+        due[~drawn(chance.ravel(), settings.seed + 7)] = 0
+        due = np.minimum(due, MOST).astype(np.int32).reshape(height, width)
+        np.maximum(due, self._count, out=due)
+        if len(alone) < len(plain):
+            due.reshape(-1)[np.setdiff1d(plain, alone, True)] = 0
+        self._chance, self._due, self._deviation_learned = chance, due, deviation
         self._prepare(int(due.max()))
-        more = due > self._count
+        more = np.flatnonzero(due > self._count)
+        amount, approximate = due.reshape(-1)[more], served.reshape(-1)[more]
         self._work = [
             (n, part)
-            for n in np.unique(due[more])[::-1]
-            for which in (served, alone)
-            for part in self._chunks(np.flatnonzero((due == n) & more & which), int(n))
+            for n in np.unique(amount)[::-1]
+            for which in (approximate, ~approximate)
+            for part in self._chunks(more[(amount == n) & which], int(n))
         ]
         self.seconds["allocation"] = perf_counter() - began
 
@@ -378,19 +435,37 @@ class ScreenPicture:
             both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0)
         )
 
-    def _write(self, y: np.ndarray | slice, x: np.ndarray | slice) -> None:
+    def _write(self, y: np.ndarray, x: np.ndarray) -> None:
         h, residual = self._mean[y, x], self._residual[y, x]
         layer = self._layer
         layer.radiance[y, x] = np.clip(h + residual, -LARGEST, LARGEST)
-        layer.control_variate[y, x], layer.residual[y, x] = h, residual
+        layer.residual[y, x] = residual
 
-    def finish(self) -> None:
+    def _show(self, map_: Map) -> None:
+        """Write all pixels."""
+        layer = self._layer
+
+        def rows(some: slice) -> None:
+            h, residual, radiance = self._mean[some], self._residual[some], layer.radiance[some]
+            np.add(h, residual, out=radiance)
+            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
+            layer.control_variate[some], layer.residual[some] = h, residual
+
+        map_(rows, self._rows())
+
+    def _rows(self) -> list[slice]:
+        """Of the picture, whole blocks at once."""
+        height = self._bins[1]
+        return [slice(low, min(low + ROWS, height)) for low in range(0, height, ROWS)]
+
+    def finish(self, map_: Map) -> None:
         """All that is left: pixels sampled in the pilot alone, counts, and the error."""
-        self._write(slice(None), slice(None))
+        self._show(map_)
         self._layer.sample_count[:] = self._count
-        # A mean of n points of a net, that is taken by chance.
-        error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
-        self._layer.standard_error[:] = (error / CHANNELS)[..., None]
+        if self._settings.standard_error:
+            # A mean of n points of a net, that is taken by chance.
+            error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
+            self._layer.standard_error[:] = (error / CHANNELS)[..., None]
 
 
 def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -398,61 +473,90 @@ def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
-def learned_by_blocks(
-    found: np.ndarray, rows: np.ndarray, said: np.ndarray, wanted: np.ndarray | None = None
-) -> np.ndarray:
+class Learned:
     """Deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
 
-    found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
-    wanted : (N,) pixels; None for all, (H, W). A pixel's own sample has no say in its own deviation, so that
-        it may be kept.
+    A pixel's own sample has no say in its own deviation, so that it may be kept.
     """
-    height, width = said.shape
-    variance = np.square(said, dtype=np.float64)
-    variance += 1e-4 * variance.mean() + 1e-300
-    own = variance.reshape(-1)[rows]
-    shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
-    block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
-    sums = [
-        _around(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape))
-        for weights in (found, own, np.ones(len(rows)))
-    ]
-    # Of the whole picture what is typical: a few outliers are no reason to sample it all.
-    some = sums[2] > 0
-    typical = np.median(sums[0][some] / np.maximum(sums[1][some], 1e-300)) if some.any() else 1.0
-    typical_mean = np.median(sums[0][some] / sums[2][some]) if some.any() else 0.0
 
-    def of(seen, hoped, count):
-        prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), 1e-300)
-        ratio = np.where(count > 0, (seen + prior * typical) / np.maximum(hoped + prior, 1e-300), typical)
-        return ratio, PLACE * (seen + FAITH * typical_mean) / (count + FAITH)
+    def __init__(self, floor: float, of_blocks: tuple[np.ndarray, np.ndarray], own: np.ndarray) -> None:
+        self._floor, self._of_blocks, self._own = floor, of_blocks, own
 
-    ratio, mean = of(*sums)
-    less = [s.reshape(-1)[block] for s in sums]
-    own_ratio, own_mean = of(*(np.maximum(a - b, 0) for a, b in zip(less, (found, own, 1), strict=True)))
-    if wanted is None:
-        y, x = np.arange(height) >> LOG_BLOCK, np.arange(width) >> LOG_BLOCK
-        square = variance * ratio[:, x].take(y, axis=0)
-        square += mean[:, x].take(y, axis=0)
-        square.reshape(-1)[rows] = own * own_ratio + own_mean
+    @classmethod
+    def of(cls, found: np.ndarray, rows: np.ndarray, said: np.ndarray, bright: float) -> Learned:
+        """found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
+
+        bright : the picture's mean radiance, channels summed.
+        """
+        width = said.shape[1]
+        floor = (FLOOR * bright) ** 2 + 1e-4 * float(np.square(said, dtype=np.float64).mean()) + 1e-300
+        own = np.square(said.reshape(-1)[rows], dtype=np.float64) + floor
+        shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
+        block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
+        sums = [
+            _around(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape))
+            for weights in (found, own, np.ones(len(rows)))
+        ]
+        # Of the whole picture what is typical: a few outliers are no reason to sample it all.
+        some = sums[2] > 0
+        typical = np.median(sums[0][some] / np.maximum(sums[1][some], 1e-300)) if some.any() else 1.0
+        typical_mean = np.median(sums[0][some] / sums[2][some]) if some.any() else 0.0
+
+        def ratio_and_mean(seen, hoped, count):
+            prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), 1e-300)
+            ratio = np.where(count > 0, (seen + prior * typical) / np.maximum(hoped + prior, 1e-300), typical)
+            return ratio, PLACE * (seen + FAITH * typical_mean) / (count + FAITH)
+
+        less = [s.reshape(-1)[block] for s in sums]
+        less = (np.maximum(a - b, 0) for a, b in zip(less, (found, own, 1), strict=True))
+        own_ratio, own_mean = ratio_and_mean(*less)
+        return cls(floor, ratio_and_mean(*sums), own * own_ratio + own_mean)
+
+    def deviation(self, said: np.ndarray, rows: slice, further: np.ndarray) -> np.ndarray:
+        """(h, W) float32 of pixels in some rows, the first of a block's.
+
+        said : (h, W) the nodes'. further : (h, W) deviation that is known for sure.
+        """
+        ratio, mean = (_of_pixels(a, rows, said.shape[1]) for a in self._of_blocks)
+        square = np.square(said, dtype=np.float64)
+        square += self._floor
+        square *= ratio
+        square += mean
+        square += np.square(further, dtype=np.float64)
         return np.sqrt(square, out=square)
-    at = np.searchsorted(rows, wanted)
-    block = (wanted // width >> LOG_BLOCK) * shape[1] + (wanted % width >> LOG_BLOCK)
-    square = variance.reshape(-1)[wanted] * ratio.reshape(-1)[block] + mean.reshape(-1)[block]
-    same = np.flatnonzero(rows.take(np.minimum(at, len(rows) - 1)) == wanted) if len(rows) else at[:0]
-    square[same] = (own * own_ratio + own_mean).take(at[same])
-    return np.sqrt(square)
+
+    def of_samples(self, further: float | np.ndarray = 0.0) -> np.ndarray:
+        """(R,) of the pixels that it was learned from, by the others."""
+        return np.sqrt(self._own + np.square(further, dtype=np.float64))
 
 
-def _largest_around(a: np.ndarray) -> np.ndarray:
-    """(H, W) the largest of ``a`` in each pixel's block and the eight around."""
-    shape = a.shape
+def _of_pixels(of_blocks: np.ndarray, rows: slice, width: int) -> np.ndarray:
+    """(h, W) of pixels in ``rows``, the first of a block's, values of their blocks."""
+    edge = 1 << LOG_BLOCK
+    values = of_blocks[rows.start >> LOG_BLOCK : -(-rows.stop >> LOG_BLOCK)]
+    return np.repeat(np.repeat(values, edge, axis=1)[:, :width], edge, axis=0)[: rows.stop - rows.start]
+
+
+def _largest_of_blocks(a: np.ndarray) -> np.ndarray:
+    """The largest of ``a`` (H, W) in each block and the eight around."""
     for axis in range(2):
         a = np.maximum.reduceat(a, np.arange(0, a.shape[axis], 1 << LOG_BLOCK), axis=axis)
         padded = np.pad(a, [(1, 1) if i == axis else (0, 0) for i in range(2)])
         low, middle, high = (np.take(padded, np.arange(k, k + a.shape[axis]), axis=axis) for k in range(3))
-        a = np.repeat(np.maximum(np.maximum(low, middle), high), 1 << LOG_BLOCK, axis=axis)
-        a = np.take(a, np.arange(shape[axis]), axis=axis)
+        a = np.maximum(np.maximum(low, middle), high)
+    return a
+
+
+def _within(a: np.ndarray, distance: int) -> np.ndarray:
+    """(H, W) whether there is a pixel of ``a`` so near in rows and columns."""
+    for axis in range(2):
+        b = a.copy()
+        for shift in range(1, distance + 1):
+            low, high = [slice(None)] * 2, [slice(None)] * 2
+            low[axis], high[axis] = slice(None, -shift), slice(shift, None)
+            b[tuple(low)] |= a[tuple(high)]
+            b[tuple(high)] |= a[tuple(low)]
+        a = b
     return a
 
 

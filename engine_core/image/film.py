@@ -102,21 +102,23 @@ class Film:
             self.messages,
         )
 
-    def compose(self, x0: int, y0: int, x1: int, y1: int) -> None:
-        """Sum the layers up in pixels [y0:y1, x0:x1]."""
+    def compose(self, x0: int, y0: int, x1: int, y1: int, errors: bool = True) -> None:
+        """Sum the layers up in pixels [y0:y1, x0:x1]. errors : their standard errors too."""
         first, *further = self.layers
         if not further:
             return
         at = np.s_[y0:y1, x0:x1]
-        self.combined[at] = first.radiance[at]
+        self.combined[at][..., 3] = first.radiance[at][..., 3]
         pairs = [(self.combined[..., :3], "radiance"), (self.control_variate, "control_variate")]
         pairs += [(self.residual, "residual"), (self.sample_count, "sample_count")]
-        for total, name in pairs[1:]:
-            total[at] = getattr(first, name)[at]
-        for layer in further:
-            for total, name in pairs:
-                total[at] += getattr(layer, name)[at]
-        self.standard_error[at] = np.sqrt(sum(np.square(layer.standard_error[at]) for layer in self.layers))
+        for total, name in pairs:
+            before = getattr(first, name)[..., :3] if name == "radiance" else getattr(first, name)
+            for layer in further:
+                np.add(before[at], getattr(layer, name)[at], out=total[at])
+                before = total
+        if errors:
+            squares = sum(np.square(layer.standard_error[at]) for layer in self.layers)
+            self.standard_error[at] = np.sqrt(squares)
 
     def _showing(self, shows: str) -> np.ndarray:
         layers = [layer.radiance for layer in self.layers if layer.shows == shows]

@@ -66,19 +66,23 @@ def sample_counts(
     error : (B,) predicted deviation of a sample. samples : in all.
     defensive : share that is spread evenly. chance : the least there is, where not even one sample is due.
     """
-    mean = error.mean()
-    due = np.full(len(error), float(defensive) if mean > 0 else 1.0)
-    if mean > 0:
-        due += (1 - defensive) * error / mean
     if samples <= 0 or not len(error):
         return np.zeros(len(error), np.int64), np.ones(len(error))
+    mean = float(error.mean(dtype=np.float64))
+    log_due = np.ones(len(error), np.float32)
+    if mean > 0:
+        np.multiply(error, (1 - defensive) / mean, out=log_due, casting="unsafe")
+        log_due += np.float32(defensive)
+    np.maximum(log_due, np.float32(1e-30), out=log_due)
+    np.log2(log_due, out=log_due)
+    log_due *= _OCTAVE
     # Where errors are alike, all bins would round the same way, and the budget be spent badly.
-    dither = (np.arange(len(due)) * _GOLDEN) % 1.0 - 0.5
-    log_due = np.log2(np.maximum(due, 1e-300)) + 0.5 * dither
+    log_due += _dither(len(error)) * np.float32(0.5 * _OCTAVE)
     # The scale that spends the budget, found on a histogram.
-    step = np.round(log_due * _OCTAVE).astype(np.int64)
+    step = np.rint(log_due, out=log_due).astype(np.int32)
     least = step.min()
-    amount = np.bincount(step - least)
+    step -= least
+    amount = np.bincount(step)
     level = (np.arange(len(amount)) + least) / _OCTAVE
 
     def spent(scale: float) -> float:
@@ -89,7 +93,18 @@ def sample_counts(
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if spent(middle) <= samples else (low, middle)
-    return _rounded(step / _OCTAVE + low, chance)
+    counts, chances = _rounded(level + low, chance)
+    return counts.take(step), chances.take(step)
+
+
+def _dither(count: int) -> np.ndarray:
+    """(count,) float32 in [-1/2, 1/2), a sequence of low discrepancy."""
+    place = np.arange(count, dtype=np.uint32)
+    place *= np.uint32(_GOLDEN * 2**32)
+    place = place.astype(np.float32)
+    place *= np.float32(2**-32)
+    place -= np.float32(0.5)
+    return place
 
 
 def _rounded(log_due: np.ndarray, chance: float) -> tuple[np.ndarray, np.ndarray]:

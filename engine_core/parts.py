@@ -21,7 +21,6 @@ from .transport.around_light import AroundLight, Block, blocks
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
-from .transport.laser_lit_parts import LitBeams, LitParts
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
@@ -47,8 +46,11 @@ MOST_BARE = 16
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
-BEAM_SPLIT = 16
+BEAM_SPLIT = 4
 """The same beside beams of lasers."""
+
+WORTH = 4
+"""Points of a laser's net that take as long as a sample with a camera ray of its own."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -178,17 +180,15 @@ def _by_net(
     outlines: Callable[[Region, Map], np.ndarray],
     elsewhere: np.ndarray | None = None,
     split: int = SPLIT,
-    alone: InnerRule | None = None,
+    worth: int = 1,
 ) -> OverScreen:
-    """alone : how nodes integrate where polynomials are all of the picture; None for the net."""
-    if settings.integrator == "cv_only" and alone is not None:
-        rays = alone.cost(integrand.rest_dimensions)
-        return OverScreen(integrand, alone, integrand, rays, integrand, split, outlines, elsewhere)
+    """worth : points of a net that take as long as a sample with a camera ray of its own."""
     # The net's own error falls as 1 / points, and should stay below that of all else.
-    points = int(np.clip(1 << int(np.log2(settings.samples) / 2 + 4), POINTS, 1024))
+    points = int(np.clip(1 << int(np.log2(settings.samples * worth) / 2 + 4), POINTS, 1024))
     inside = Integrated(integrand, points, settings.seed)
     fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
-    return OverScreen(inside, None, inside, points, integrand, split, outlines, elsewhere, fresh)
+    rays = points // worth
+    return OverScreen(inside, None, inside, rays, integrand, split, outlines, elsewhere, fresh)
 
 
 def _of_fog(
@@ -265,11 +265,19 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, beside(fog.stretches), split=BEAM_SPLIT, alone=LitParts())
+        by = _by_net(fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
-        by = _by_net(lit, settings, beside(lit.stretches), split=BEAM_SPLIT, alone=LitBeams())
+        elsewhere = None
+        if settings.integrator == "control_variates" and lit.screen_dimensions == 2:
+            found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
+            if found:
+                own, none = [AroundLight(lit, b.centre) for b in found], [[] for _ in found]
+                parts.append(
+                    Part("surfaces where lasers end", LASER, own[0], 1, AroundLights(found, own, none, none))
+                )
+        by = _by_net(lit, settings, beside(lit.stretches), elsewhere, BEAM_SPLIT, WORTH)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

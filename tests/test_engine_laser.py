@@ -14,14 +14,14 @@ from engine_core import Camera, Laser, Material, Mesh, Scene, Settings, Volume, 
 from engine_core.geometry.frame import frame_of
 from engine_core.geometry.surfaces import Surfaces
 from engine_core.geometry.triangles import gather_triangles
-from engine_core.integration.inner_rules import GaussTensor, InnerRule, Nodes
+from engine_core.integration.integrated import Integrated
 from engine_core.integration.point_sets import SobolPoints
 from engine_core.integration.rules import gauss
 from engine_core.shading.closures import Diffuse, Transparent
+from engine_core.transport.around_light import AroundLight
 from engine_core.transport.camera_hits import CameraStage, Pixels
 from engine_core.transport.camera_rays import CameraRays
-from engine_core.transport.laser_in_fog import LaserInFog
-from engine_core.transport.laser_lit_parts import LitBeams, LitParts
+from engine_core.transport.laser_in_fog import LaserInFog, RaySegments
 from engine_core.transport.laser_maps import (
     along_beam,
     along_ray,
@@ -236,8 +236,6 @@ def test_light_in_fog_is_the_double_integral(seed):
     wanted = dblquad(twice_scattered, 0, laser.length, 0, line.clip, epsabs=1e-9, epsrel=1e-5)[0]
     wanted *= laser.power[channel] * scattering[channel] ** 2
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
-    nodes = Nodes(integrand, rays, 1, np.zeros(1, int), np.zeros((0, 1)), np.zeros(1, np.uint32), 0)
-    assert LitParts(24, beam=16).integrate(nodes)[0][channel, 0] == pytest.approx(wanted, rel=1e-3)
 
 
 @pytest.mark.parametrize("g", [0.0, 0.6])
@@ -302,18 +300,15 @@ def behind_a_ball(**fields: Any) -> Stage:
     return Stage(Scene(camera, meshes, lights=(laser,), **everywhere(0.1, 0.02, 0.3)))
 
 
-def at_nodes(integrand: LaserInFog | LaserOnSurfaces, rule: InnerRule, where: Pixels) -> np.ndarray:
+def in_middles(integrand: LaserInFog | LaserOnSurfaces, where: Pixels, points: int = 1 << 12) -> np.ndarray:
     """(3, B) integrals in the pixels' middles."""
-    n = len(where)
-    rays = integrand.first(where, np.full((2, n, 1), 0.5))
-    nodes = Nodes(integrand, rays, n, np.arange(n), np.zeros((0, n)), np.zeros(n, np.uint32), 0)
-    return rule.integrate(nodes)[0]
+    return Integrated(integrand, points, 0).first(where, np.full((2, len(where), 1), 0.5)).values
 
 
 @pytest.mark.parametrize("name", MAPS)
 def test_samples_behind_an_occluder_are_unbiased(name):
     stage, where = behind_a_ball(), pixels(12, 12)
-    reference = at_nodes(stage.in_fog(), LitParts(8, 33, 6, 32), where)[0]
+    reference = in_middles(stage.in_fog(), where)[0]
     integrand, means = stage.in_fog(name), []
     for seed in range(24):
         rays = integrand.first(where, np.full((2, len(where), 1), 0.5))
@@ -324,14 +319,56 @@ def test_samples_behind_an_occluder_are_unbiased(name):
     assert abs(np.mean(means) - reference.mean()) < 4 * error + 5e-4 * reference.mean()
 
 
-def test_bisected_shadows_beat_as_many_points_elsewhere():
+@pytest.mark.parametrize("dimensions", [1, 2])
+def test_points_of_a_ray_are_the_same_together_and_alone(dimensions):
     stage, where = behind_a_ball(), pixels(12, 12)
-    reference, lit, plain = (
-        at_nodes(stage.in_fog(), rule, where)[0]
-        for rule in (LitParts(8, 33, 6, 32), LitParts(), GaussTensor(8))
-    )
-    assert abs(lit - reference).mean() < abs(plain - reference).mean()
-    assert lit.mean() == pytest.approx(reference.mean(), rel=5e-3)
+    integrand = stage.in_fog() if dimensions == 2 else stage.on_surfaces()
+    rays = integrand.first(where, np.full((2, len(where), 1), 0.5))
+    count = len(where) if rays.lane is None else len(rays.lane)
+    u = np.random.default_rng(5).random((dimensions, count, 4))
+    together = integrand.rest(rays, None, u)[1].reshape(3, count, 4)
+    lane = np.tile(np.arange(count), 4)
+    alone = integrand.rest(rays, lane, u.transpose(0, 2, 1).reshape(dimensions, -1))[1].reshape(3, 4, count)
+    np.testing.assert_allclose(together, alone.transpose(0, 2, 1), rtol=1e-5, atol=1e-9)
+    assert together.any()
+
+
+def test_one_fog_needs_no_thought(monkeypatch):
+    stage, where = behind_a_ball(), pixels(12, 12)
+    ours = in_middles(stage.in_fog(), where, 16)
+    monkeypatch.setattr(RaySegments, "meets", lambda *_: False)
+    np.testing.assert_allclose(ours, in_middles(stage.in_fog(), where, 16), rtol=1e-5, atol=1e-9)
+
+
+def test_another_fog_between_is_not_overlooked():
+    big = scenes.box((-9, -9, -9), (9, 9, 9), volume=0, surface=False)
+    small = scenes.box((-0.5, -2, -3), (0.5, 2, 3), volume=1, surface=False)
+    laser, camera = beam((2, -3, 0.3), (2, 3, 0.2), length=5.0), pinhole((-2, -4, 0), (-2, 0, 0.1))
+    volumes = Volume(0.1), Volume(0.0, 5.0)
+    scene = Scene(camera, (big, small), lights=(laser,), volumes=volumes)
+    without = Scene(camera, (big,), lights=(laser,), volumes=volumes)
+    dim, bright = (in_middles(Stage(s).in_fog(), pixels(), 256) for s in (scene, without))
+    assert (dim < 0.9 * bright).all() and (dim > 0).all()
+
+
+def test_fog_behind_glass_is_as_dark_as_the_glass():
+    def value(*tints: float) -> np.ndarray:
+        glass = [scenes.box((-9, -3.1 - i, -9), (9, -3 - i, 9), materials=i) for i in range(len(tints))]
+        # No shadows, or the glass would colour what crosses it on the way, too.
+        laser = beam((-1, 0.4, 0.5), (1, 0.7, -0.2), 3.0, length=2.0, radius=0.3, casts_shadow=False)
+        fog = scenes.box((-4, -2, -4), (4, 4, 4), volume=0, surface=False)
+        materials = [Material(surface=Transparent((t, t, t))) for t in tints]
+        camera = pinhole((0, -6, 0.5), (0, 0.55, 0.15))
+        scene = Scene(camera, (*glass, fog), materials, (laser,), volumes=(Volume(0.4),))
+        stage = Stage(scene)
+        return np.array(
+            [in_middles(stage.in_fog(), pixels(), 64), stage.seen().first(pixels(), MIDDLE).values]
+        )
+
+    clear, dark = value(1.0), value(0.5)
+    assert (clear > 0).all()
+    # In at one side, and out at the other.
+    np.testing.assert_allclose(dark, 0.25 * clear, rtol=1e-4)
 
 
 # -- on surfaces ---------------------------------------------------------------------------------------
@@ -373,14 +410,28 @@ def test_light_on_surfaces_is_the_integral_along_the_beam(seed):
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
 
 
-def test_nodes_on_surfaces_know_the_edges_of_shadows():
-    stage, where = behind_a_ball(), pixels(12, 12)
-    reference, lit, plain = (
-        at_nodes(stage.on_surfaces(), rule, where)[0]
-        for rule in (GaussTensor(256), LitBeams(), GaussTensor(16))
-    )
-    assert abs(lit - reference).mean() < 0.5 * abs(plain - reference).mean()
-    assert lit.mean() == pytest.approx(reference.mean(), rel=1e-2)
+def test_polar_points_about_a_beams_end_are_unbiased_and_calm():
+    camera = Camera.look_at((0, -6, 3), (0, 0, 0), 32, 32)
+    laser = beam((-2, 0.4, 2), (0.21, -0.13, 0), 3.0)
+    stage = Stage(Scene(camera, (scenes.floor(6),), lights=(laser,), **everywhere(0.1, 0.02, 0.3)))
+    integrand = stage.on_surfaces()
+    centre, _ = stage.rays.image_of(integrand.ends.centre)
+    where = pixels(32, 32)
+    where = where[(where.x == int(centre[0, 0])) & (where.y == int(centre[1, 0]))]
+
+    def means(of: AroundLight | LaserOnSurfaces, samples: int) -> np.ndarray:
+        values = []
+        for seed in range(32):
+            points = SobolPoints(range(3), seed, 3)
+            points.prepare(samples)
+            u = points.points(where.key(), 0, samples)
+            values.append(of.rest(of.first(where, u[:2]), None, u[2:].reshape(1, samples, 1))[1][0].mean())
+        return np.array(values)
+
+    plain, polar = means(integrand, 1 << 13), means(AroundLight(integrand, centre[:, 0]), 1 << 9)
+    error = np.hypot(np.std(plain, ddof=1), np.std(polar, ddof=1)) / np.sqrt(32)
+    assert abs(plain.mean() - polar.mean()) < 4 * error
+    assert np.std(polar) < 0.5 * np.std(means(integrand, 1 << 9))
 
 
 # -- seen ----------------------------------------------------------------------------------------------
@@ -533,7 +584,7 @@ def test_beams_in_odd_places_are_finite(start, towards, length):
         lanes = np.zeros(len(u[0].ravel()), int) if rays.lane is None else rays.lane
         value = integrand.rest(rays, None, np.resize(u, (2, len(lanes), 1)))[1]
         assert np.isfinite(value).all() and (value >= 0).all()
-    assert np.isfinite(at_nodes(integrand, LitParts(), where)).all()
+    assert np.isfinite(in_middles(integrand, where, 64)).all()
     integrand = stage.on_surfaces()
     hits = integrand.first(where, np.full((2, len(where), 1), 0.5))
     value = integrand.rest(hits, None, np.full((1, len(hits.points), 1), 0.5))[1]
@@ -562,7 +613,7 @@ def test_scale_changes_nothing():
         where = pixels(6, 6)
         hits = stage.on_surfaces().first(where, np.full((2, 36, 1), 0.5))
         return [
-            at_nodes(stage.in_fog(), LitParts(), where),
+            in_middles(stage.in_fog(), where, 256),
             stage.on_surfaces().rest(hits, None, np.full((1, len(hits.points), 1), 0.4))[1],
             stage.seen().means(where, net(where, 16).astype(np.float64))[0],
         ]

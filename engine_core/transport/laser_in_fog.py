@@ -12,12 +12,13 @@ and V visibility between the two. As a staged function of primary space:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.vectors import take
+from . import phase
 from .direct_light import CROSSING, SHADOW
 from .laser_maps import (
     Passage,
@@ -26,9 +27,9 @@ from .laser_maps import (
     along_ray_as_in_thesis,
     passages,
 )
-from .lasers import DEEPEST, Lasers, Stretch, halves, scattered
+from .lasers import DEEPEST, Lasers, Stretch, halves
 from .media import Media
-from .single_scattering import FogRays, Scattered, SingleScattering
+from .single_scattering import FogRays, Scattered, SingleScattering, run
 
 INSET = np.float32(1e-5)
 """Of a shadow ray, at either end: both may lie on a surface."""
@@ -37,12 +38,13 @@ MAPS = {"point": along_ray, "thesis_2020": along_ray_as_in_thesis}
 
 
 @dataclass(eq=False)
-class Segments:
+class RaySegments:
     """K segments of M camera rays, each in one mixture of media.
 
     origin, direction : (3, M) float64, unit. ray : (K,). start, end : (K,) float64, along it.
     depth : (C, K) optical depth before the segment. extinction : (C, K), or (C, 1) if all are of one mixture.
-    scattering : of each phase function, (3, K) or (3, 1), and g.
+    scattering : of each phase function, (3, K) or (3, 1), and g; of what is left behind transparent surfaces.
+    inside : (K,) bits, as in `RayMedia`.
     """
 
     origin: np.ndarray
@@ -53,9 +55,10 @@ class Segments:
     depth: np.ndarray
     extinction: np.ndarray
     scattering: list[tuple[np.ndarray, float]]
+    inside: np.ndarray
 
     @staticmethod
-    def of(rays: FogRays, media: Media) -> Segments:
+    def of(rays: FogRays, media: Media) -> RaySegments:
         fog = rays.media
         mixture = fog.mixture
         if len(mixture) and (mixture == mixture[0]).all():
@@ -64,7 +67,9 @@ class Segments:
         # Up to where no colour is left.
         slowest = np.where((extinction > 0).all(axis=0), extinction.min(axis=0), extinction.max(axis=0))
         length = np.maximum(DEEPEST - depth.min(axis=0), 0) / slowest
-        return Segments(
+        # Of light scattered there, what surfaces on the way leave.
+        through = 1 if rays.through is None else rays.through
+        return RaySegments(
             rays.origin,
             rays.direction,
             fog.ray,
@@ -73,20 +78,21 @@ class Segments:
             depth,
             extinction,
             [
-                (take(sigma, mixture), float(g))
+                (take(sigma, mixture) * through, float(g))
                 for sigma, g in zip(media.scattering, media.anisotropy, strict=True)
                 if sigma[:, mixture].any()
             ],
+            fog.inside,
         )
 
-    def take(self, rows: np.ndarray | slice) -> Segments:
+    def take(self, rows: np.ndarray | slice) -> RaySegments:
         if isinstance(rows, slice):
             return self
 
         def of_mixture(a: np.ndarray) -> np.ndarray:
             return a if a.shape[1] == 1 else take(a, rows)
 
-        return Segments(
+        return RaySegments(
             self.origin,
             self.direction,
             self.ray.take(rows),
@@ -95,6 +101,7 @@ class Segments:
             take(self.depth, rows),
             of_mixture(self.extinction),
             [(of_mixture(sigma), g) for sigma, g in self.scattering],
+            self.inside.take(rows),
         )
 
     def passage(self, stretch: Stretch) -> Passage:
@@ -103,22 +110,47 @@ class Segments:
         direction, beam = take(self.direction, self.ray), stretch.direction[:, None]
         return passages(between, direction, beam, stretch.length, self.start, self.end)
 
-    def unshadowed(
-        self, stretch: Stretch, p: Passage, v: np.ndarray, x: np.ndarray, r: np.ndarray
-    ) -> np.ndarray:
-        """(3, K) the integrand times r^2, but for what is between beam and camera ray.
+    def meets(self, stretch: Stretch, media: Media) -> bool:
+        """Whether all that is between these segments and a stretch of a beam is one fog."""
+        # Another body might lie between two points that are in the same ones.
+        everything = (1 << media.bodies) - 1
+        return media.convex and stretch.inside == everything and bool((self.inside == everything).all())
 
-        v : (K,) on the beam. x : (K,) on the camera ray, from the foot. r : (K,) their distance.
+    def unshadowed(
+        self, stretch: Stretch, p: Passage, v: np.ndarray, x: np.ndarray, r: np.ndarray, one_fog: bool
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The integrand times r^2, but for what is between beam and camera ray, as a sum of products.
+
+        v : (K, S) on the beam. x : (K, S) on the camera ray, from the foot. r : (K, S) their distance.
+        one_fog : what `meets` says; then the fog between is included. Yields colours, (3, K, 1) or (3, 1, 1),
+        and factors (C, K, S) float32.
         """
-        cos_v = (x * p.cos - (p.y + v * p.sin) * p.sin) / r
-        t = p.foot + v * p.cos + x
-        depth = self.depth + self.extinction * np.maximum(t - self.start, 0)
-        depth += stretch.depth + stretch.extinction * v
-        value = scattered(stretch.scattering, *halves(cos_v))
-        value *= scattered(self.scattering, *halves(-x / r))
-        value *= np.exp(-depth)
-        value *= stretch.power[:, None]
-        return value
+        along = np.maximum(p.foot + v * p.cos + x - self.start[:, None], 0)
+        if one_fog:
+            along += r
+        along, before = along.astype(np.float32), v.astype(np.float32)
+        left = np.empty((len(self.depth), *v.shape), np.float32)
+        constant = (self.depth + stretch.depth).astype(np.float32)
+        for out, depth, ours, theirs in zip(left, constant, self.extinction, stretch.extinction, strict=True):
+            np.multiply(along, -ours.astype(np.float32)[:, None], out=out)
+            out -= before * np.float32(theirs[0])
+            out -= depth[:, None]
+        np.exp(left, out=left)
+
+        def scattered(components: list[tuple[np.ndarray, float]], cos: Callable[[], np.ndarray]):
+            angle = halves(cos().astype(np.float32)) if any(g for _, g in components) else None
+            for sigma, g in components:
+                yield sigma, phase.value(*angle, np.float32(g)) if g else phase.ISOTROPIC
+
+        ours = list(scattered(self.scattering, lambda: -x / r))
+        for sigma, there in scattered(
+            stretch.scattering, lambda: (x * p.cos - (p.y + v * p.sin) * p.sin) / r
+        ):
+            for tau, here in ours:
+                yield (
+                    (sigma * tau * stretch.power[:, None])[:, :, None].astype(np.float32),
+                    left * (there * here),
+                )
 
 
 class LaserInFog(Scattered):
@@ -144,45 +176,57 @@ class LaserInFog(Scattered):
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """Radiance (3, N) at u (2, M, S), beam and camera ray, of M rays in fog; at (2, N) of ``lane``."""
         self._check()
-        if lane is None and u.shape[2] > 1:
-            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
-        u = np.asarray(u, np.float64).reshape(2, -1)
-        rows, which = rays.segments(lane)
-        every = Segments.of(rays, self.media)
-        segments = every.take(rows)
-        along, across = take(u, which)
-        out = np.zeros((3, u.shape[1]))
+        split = u.shape[2] if lane is None else run(lane)
+        rows, which = rays.segments(None if lane is None else lane[::split])
+        segments = RaySegments.of(rays, self.media).take(rows)
+        u = np.asarray(u, np.float64).reshape(2, -1, split)
+        out = np.zeros((3, *u.shape[1:]), np.float32)
+        if not np.array_equal(which, np.arange(u.shape[1])):
+            u = u.take(which, axis=1)
         for stretch in self.stretches:
-            if len(which) > len(every.start):
-                passage = every.passage(stretch).take(rows)
+            self._add(out, which, segments, stretch, u)
+        return None, self._bounded(out.reshape(3, -1))
+
+    def _add(
+        self, out: np.ndarray, which: np.ndarray, segments: RaySegments, stretch: Stretch, u: np.ndarray
+    ) -> None:
+        """Add to light (3, M, S) of rays ``which`` (K,) what K segments get of a stretch at u (2, K, S)."""
+        p = segments.passage(stretch).columns()
+        v, dv = along_beam(p, u[0])
+        x, r, weight = self._map(p, v, u[1])
+        weight = (weight * dv).astype(np.float32)
+        one_fog = segments.meets(stretch, self.media)
+        t = p.foot + v * p.cos + x
+        arrive, part = self.arriving(segments, stretch, v, t, one_fog)
+        seen = np.zeros((1 if part is None else len(part), v.size), np.float32)
+        seen[:, arrive] = 1 if part is None else part
+        seen = seen.reshape(-1, *v.shape)
+        seen *= weight
+        every = len(which) == out.shape[1]
+        for colour, factor in segments.unshadowed(stretch, p, v, x, r, one_fog):
+            value = (factor * seen) * colour
+            if every:
+                out += value
             else:
-                passage = segments.passage(stretch)
-            v, dv = along_beam(passage, along)
-            x, r, weight = self._map(passage, v, across)
-            value = segments.unshadowed(stretch, passage, v, x, r)
-            value *= weight * dv
-            lit = np.flatnonzero(value.any(axis=0))
-            t = passage.foot + v * passage.cos + x
-            arrive, part = self.arriving(segments, stretch, lit, v.take(lit), t.take(lit))
-            lit = lit.take(arrive)
-            value = take(value, lit) * part
-            for row, channel in zip(out, value, strict=True):
-                row += np.bincount(which.take(lit), channel, len(row))
-        return None, self._bounded(out)
+                np.add.at(out, (slice(None), which), value)
 
     def arriving(
-        self, segments: Segments, stretch: Stretch, rows: np.ndarray, v: np.ndarray, t: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Which (J,) of points t (N,) of segments ``rows`` (N,) see points v (N,) of the beam, and what part
-        (3, J) or (1, J) of its light gets there.
+        self, segments: RaySegments, stretch: Stretch, v: np.ndarray, t: np.ndarray, one_fog: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Which (J,) of points t (K, S) of segments see points v (K, S) of the beam, and what part, (3, J) or
+        (1, J), of its light gets there; None for all.
+
+        one_fog : what is between needs no thought.
         """
-        origins, directions = between(segments, stretch, rows, v, t)
-        arrive, part = np.arange(len(v)), None
+        arrive, part = np.arange(v.size), None
+        origins, directions = between(segments, stretch, v, t)
         if stretch.casts_shadow:
             arrive, part = self.arrivals(*shortened(origins, directions))
+        if not one_fog:
             origins, directions = origins.take(arrive, axis=0), directions.take(arrive, axis=0)
-        left = np.exp(-self.depth_between(stretch, origins, directions))
-        return arrive, left if part is None else left * part
+            left = np.exp(-self.depth_between(stretch, origins, directions))
+            part = left if part is None else left * part
+        return arrive, part
 
     def arrivals(
         self, origins: np.ndarray, directions: np.ndarray, reach: float
@@ -200,19 +244,18 @@ class LaserInFog(Scattered):
 
 
 def between(
-    segments: Segments, stretch: Stretch, rows: np.ndarray, v: np.ndarray, t: np.ndarray
+    segments: RaySegments, stretch: Stretch, v: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Origins at points v (N,) of a beam, and directions (N, 3) to points t of segments ``rows`` (N,)."""
-    origins, directions = np.empty((2, len(v), 3), np.float32)
-    ray = segments.ray.take(rows)
+    """Origins (K * S, 3) at points v (K, S) of a beam, and directions to points t (K, S) of K segments."""
+    origins, directions = np.empty((2, *v.shape, 3), np.float32)
     for i in range(3):
         from_beam = stretch.start[i] + v * stretch.direction[i]
-        origins[:, i] = from_beam
-        point = t * segments.direction[i].take(ray)
-        point += segments.origin[i].take(ray)
+        origins[..., i] = from_beam
+        point = t * segments.direction[i].take(segments.ray)[:, None]
+        point += segments.origin[i].take(segments.ray)[:, None]
         point -= from_beam
-        directions[:, i] = point
-    return origins, directions
+        directions[..., i] = point
+    return origins.reshape(-1, 3), directions.reshape(-1, 3)
 
 
 def shortened(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

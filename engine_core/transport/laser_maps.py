@@ -56,6 +56,10 @@ class Passage:
     def take(self, rows: np.ndarray) -> Passage:
         return Passage(*(getattr(self, name).take(rows) for name in self.__dataclass_fields__))
 
+    def columns(self) -> Passage:
+        """All (L, 1), for several points of each pair."""
+        return Passage(*(getattr(self, name)[:, None] for name in self.__dataclass_fields__))
+
 
 def passages(
     between: np.ndarray,
@@ -96,12 +100,20 @@ def passages(
 
 
 def along_beam(p: Passage, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the beam's stretch, from its beginning, for u (N,), and dv/du (N,), of N passages."""
-    half = 0.5 * u * p.da
+    """Points of the beam's stretch, from its beginning, for u (N,), and dv/du (N,), of N passages.
+
+    Here and below, u (L, S) for passages of columns.
+    """
+    half = 0.5 * p.da * u
+    # Hyperbolic functions, by two exponentials.
+    grown = np.expm1(half)
+    middle = np.exp(p.a + half)
     scale = p.h / p.sin
-    middle = p.a + half
-    v = 2 * scale * np.cosh(middle) * np.sinh(half)
-    return v, scale * p.da * np.cosh(middle + half)
+    v = middle + 1 / middle
+    v *= grown + grown / (1 + grown)
+    v *= 0.5 * scale
+    middle *= 1 + grown
+    return v, (0.5 * scale * p.da) * (middle + 1 / middle)
 
 
 def along_ray(p: Passage, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -27,6 +27,26 @@ from .laser_maps import LEAST_DISTANCE, at_half_angle, half_angles
 from .lasers import Lasers, Stretch, halves, scattered
 from .media import Media
 from .shadows import Shadows
+from .single_scattering import run
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where stretches of beams end, as `around_light.blocks` wants them. What surfaces there get is
+    as bright as 1/distance.
+
+    centre : (3, L) in the frame. reach, numbers : (L,), of all.
+    """
+
+    centre: np.ndarray
+
+    @property
+    def numbers(self) -> np.ndarray:
+        return np.arange(self.centre.shape[1])
+
+    @property
+    def reach(self) -> np.ndarray:
+        return np.zeros(self.centre.shape[1])
 
 
 @dataclass(eq=False)
@@ -105,26 +125,29 @@ class LaserOnSurfaces:
         self._count(CROSSING, hits.crossings)
         return replace(hits, values=None)
 
+    @property
+    def ends(self) -> Ends:
+        return Ends(np.stack([s.start + s.length * s.direction for s in self.stretches], axis=1))
+
     def rest(
         self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """Radiance (3, N) at u (1, M, S) for M hits; at u (1, N) for hits ``lane`` (N,)."""
         self._check()
-        u = np.asarray(u, np.float64).reshape(-1)
-        which, at = of_each(hits, lane, len(u))
-        out = np.zeros((3, len(u)), np.float32)
+        split = u.shape[2] if lane is None else run(lane)
+        u = np.asarray(u, np.float64).reshape(-1, split)
+        which, at = of_each(hits, None if lane is None else lane[::split], len(u))
+        out = np.zeros((3, u.size), np.float32)
         if len(at) == 0:
             return None, out
-        u = u.take(which)
+        u = u.take(which, axis=0)
+        which = (which[:, None] * split + np.arange(split)).ravel()
+        every = np.repeat(at, split) if split > 1 else at
         for stretch in self.stretches:
-            value, v, to_beam = Sights(hits, at, stretch).reflected(self.reflection, u)
-            lit = np.flatnonzero(value.any(axis=0))
-            good = np.isfinite(value[:, lit]).all(axis=0)
-            if not good.all():
-                self._count(NON_FINITE, int(len(lit) - good.sum()))
-                lit = lit[good]
+            value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
+            lit = np.flatnonzero(self.finite(value).any(axis=0))
             if stretch.casts_shadow:
-                arrive, part = self.arrivals(hits, at.take(lit), take(to_beam, lit))
+                arrive, part = self.arrivals(hits, every.take(lit), take(to_beam, lit))
                 lit = lit.take(arrive)
                 value = take(value, lit) if part is None else take(value, lit) * part
             else:
@@ -133,6 +156,14 @@ class LaserOnSurfaces:
             for row, channel in zip(out, value, strict=True):
                 row += np.bincount(which.take(lit), channel, len(row)).astype(np.float32)
         return None, out
+
+    def finite(self, value: np.ndarray) -> np.ndarray:
+        """``value`` (3, N) with 0 in place of what is not finite, which is counted."""
+        bad = ~np.isfinite(value).all(axis=0)
+        if bad.any():
+            self._count(NON_FINITE, int(bad.sum()))
+            value[:, bad] = 0
+        return value
 
     def arrivals(
         self, hits: CameraHits, at: np.ndarray, to_beam: np.ndarray
@@ -173,52 +204,39 @@ def of_each(hits: CameraHits, lane: np.ndarray | None, count: int) -> tuple[np.n
     return which, np.arange(len(which)) - np.repeat(np.cumsum(seen) - seen, seen) + start.take(which)
 
 
-class Sights:
-    """A stretch of a beam as points ``at`` (L,) of camera hits see it: mapped by 1/r^2."""
+def reflected(
+    hits: CameraHits,
+    at: np.ndarray,
+    every: np.ndarray,
+    stretch: Stretch,
+    reflection: Reflection,
+    u: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What points ``at`` (L,) of camera hits reflect of a stretch of a beam, at u (L, S), mapped by 1/r^2.
 
-    def __init__(self, hits: CameraHits, at: np.ndarray, stretch: Stretch, above: bool = False) -> None:
-        """above : only what is above the points' horizon."""
-        self._hits, self._at, self._stretch = hits, at, stretch
-        axis = stretch.direction[:, None]
-        start = stretch.start[:, None] - take(hits.points.position, at).astype(np.float64)
-        self._foot = dot(start, axis)
-        self._apart = start - self._foot * axis
-        low, high = self._foot, self._foot + stretch.length
-        if above:
-            normal = take(hits.points.normal, at)
-            height, slope = dot(normal, self._apart), dot(normal, axis)
-            horizon = -height / np.where(slope == 0, 1, slope)
-            low = np.where(slope > 0, np.clip(horizon, low, high), low)
-            high = np.where(slope < 0, np.clip(horizon, low, high), high)
-        far = np.maximum(np.abs(low), np.abs(high))
-        self._gap = np.maximum(np.sqrt(dot(self._apart, self._apart)), LEAST_DISTANCE * far)
-        self._low, self._dw = half_angles(low, high, self._gap)
-
-    def points(
-        self, rows: np.ndarray | None, s: np.ndarray | float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of sights ``rows`` (N,), None for all, at s (N,): v of the stretch, vectors (3, N) there, their
-        lengths, and dv / r^2 / ds.
-        """
-        low, dw, gap, foot, apart = (
-            a if rows is None else take(a, rows)
-            for a in (self._low, self._dw, self._gap, self._foot, self._apart)
-        )
-        x, r, weight = at_half_angle(low + s * dw, dw, gap)
-        v = np.clip(x - foot, 0, self._stretch.length)
-        return v, apart + x * self._stretch.direction[:, None], r, weight
-
-    def reflected(
-        self, reflection: Reflection, s: np.ndarray | float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(3, L) the integrand at s (L,), but for what is between; v (L,) of the stretch, and vectors (3, L)
-        float32 there.
-        """
-        stretch = self._stretch
-        v, to_beam, r, weight = self.points(None, s)
-        direction = to_beam / r
-        value = scattered(stretch.scattering, *halves(-dot(direction, stretch.direction[:, None])))
-        value *= stretch.transmittance(v) * stretch.power[:, None] * weight
-        value = value.astype(np.float32)
-        reflection.of(self._hits, self._at, direction.astype(np.float32), value)
-        return value, v, to_beam.astype(np.float32)
+    every : (L * S,) the points again, S times each. Returns (3, L * S) the integrand, but for what is
+    between; v (L * S,) of the stretch; and vectors (3, L * S) float32 there.
+    """
+    axis = stretch.direction[:, None]
+    start = stretch.start[:, None] - take(hits.points.position, at).astype(np.float64)
+    foot = dot(start, axis)
+    apart, last = start - foot * axis, foot + stretch.length
+    far = np.maximum(np.abs(foot), np.abs(last))
+    gap = np.maximum(np.sqrt(dot(apart, apart)), LEAST_DISTANCE * far)
+    low, dw = half_angles(foot, last, gap)
+    x, r, weight = at_half_angle(low[:, None] + u * dw[:, None], dw[:, None], gap[:, None])
+    v = np.clip(x - foot[:, None], 0, stretch.length).ravel()
+    to_beam = np.empty((3, *x.shape), np.float32)
+    direction = np.empty_like(to_beam)
+    inverse = 1 / r
+    for i in range(3):
+        part = x * stretch.direction[i]
+        part += apart[i][:, None]
+        to_beam[i] = part
+        np.multiply(part, inverse, out=direction[i], casting="same_kind")
+    # Towards the beam is against the light.
+    cos = (-x * inverse).ravel()
+    value = scattered(stretch.scattering, *halves(cos)) * (stretch.transmittance(v) * weight.ravel())
+    value = (value * stretch.power[:, None]).astype(np.float32)
+    reflection.of(hits, every, direction.reshape(3, -1), value)
+    return value, v, to_beam.reshape(3, -1)

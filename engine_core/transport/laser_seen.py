@@ -27,7 +27,7 @@ from ..geometry.warps import basis
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
-from .laser_in_fog import Segments
+from .laser_in_fog import RaySegments
 from .laser_on_surfaces import Reflection, Towards
 from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered
 from .shadows import Shadows
@@ -91,7 +91,7 @@ class LasersSeen:
         return _Values(self._bounded(out))
 
     def _add_beams(self, out: np.ndarray, rays: FogRays, stretches: Sequence[Stretch]) -> None:
-        segments = Segments.of(rays, self._scattering.media)
+        segments = RaySegments.of(rays, self._scattering.media)
         lane = rays.media.ray if rays.lane is None else rays.lane.take(rays.media.ray)
         for stretch in stretches:
             for row, channel in zip(out, glow(segments, stretch), strict=True):
@@ -222,7 +222,7 @@ class LasersSeen:
         return radiance
 
 
-def glow(segments: Segments, stretch: Stretch) -> np.ndarray:
+def glow(segments: RaySegments, stretch: Stretch) -> np.ndarray:
     """(3, K) radiance that a stretch of a beam adds to segments of camera rays."""
     axis = stretch.direction[:, None]
     start = take(segments.origin, segments.ray) - stretch.start[:, None]

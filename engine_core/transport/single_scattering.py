@@ -310,7 +310,7 @@ class _Places:
         return _Places(self.row.take(rows), self.u.take(rows, axis=0), self.chance.take(rows))
 
 
-def _run(lane: np.ndarray) -> int:
+def run(lane: np.ndarray) -> int:
     """How many times in a row every entry of (N,) comes, as long as all do so alike; else 1."""
     changes = np.flatnonzero(lane[1:] != lane[:-1])
     split = int(changes[0]) + 1 if changes.size else max(len(lane), 1)
@@ -398,7 +398,7 @@ class ScatteredLight(Scattered):
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()
-        split, u = (u.shape[2] if lane is None else _run(lane)), _inset(u).reshape(len(u), -1)
+        split, u = (u.shape[2] if lane is None else run(lane)), _inset(u).reshape(len(u), -1)
         ray = np.arange(len(rays)) if lane is None else lane[::split]
         if u.shape[1] == 0 or len(self._lights) == 0:
             return np.zeros(0, np.intp), np.zeros((3, 0), np.float32)

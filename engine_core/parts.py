@@ -61,8 +61,9 @@ FRESH_POINTS = 64
 SEEN_POINTS = 64, 2048
 """Of each pixel that sees a beam, and of each that sees where one ends."""
 
-POINTS = 64
-"""Of the net that integrates what is left at nodes and samples, of a picture of few samples."""
+POINTS, FEW_POINTS = 64, 16
+"""Of the net that integrates what is left at nodes and samples, of a picture of few samples; at least, where
+that is the sum of many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,13 +182,19 @@ def _by_net(
     elsewhere: np.ndarray | None = None,
     split: int = SPLIT,
     worth: int = 1,
+    many: float = 1.0,
 ) -> OverScreen:
-    """worth : points of a net that take as long as a sample with a camera ray of its own."""
+    """worth : points of a net that take as long as a sample with a camera ray of its own.
+
+    many : of how many independent integrals it is the sum, whose errors even out.
+    """
     # The net's own error falls as 1 / points, and should stay below that of all else.
-    points = int(np.clip(1 << int(np.log2(settings.samples * worth) / 2 + 4), POINTS, 1024))
+    wanted = np.log2(settings.samples * worth / many) / 2 + 4
+    least = np.maximum(np.log2(POINTS) - np.log2(many) / 2, np.log2(FEW_POINTS))
+    points = 1 << int(np.clip(max(wanted, least), 0, 10))
     inside = Integrated(integrand, points, settings.seed)
     fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
-    rays = points // worth
+    rays = max(1, points // worth)
     return OverScreen(inside, None, inside, rays, integrand, split, outlines, elsewhere, fresh)
 
 
@@ -265,7 +272,7 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH)
+        by = _by_net(fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH, _many(fog.stretches))
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -277,7 +284,7 @@ def _of_lasers(
                 parts.append(
                     Part("surfaces where lasers end", LASER, own[0], 1, AroundLights(found, own, none, none))
                 )
-        by = _by_net(lit, settings, beside(lit.stretches), elsewhere, BEAM_SPLIT, WORTH)
+        by = _by_net(lit, settings, beside(lit.stretches), elsewhere, BEAM_SPLIT, WORTH, _many(lit.stretches))
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:
@@ -285,6 +292,13 @@ def _of_lasers(
         touched, means = (tuple(partial(f, **kind) for kind in kinds) for f in (seen.touched, seen.means))
         parts.append(Part("lasers seen", LASER, seen, 1, Seen(touched, means, SEEN_POINTS)))
     return parts
+
+
+def _many(stretches: Sequence[Stretch]) -> float:
+    """How many lasers of one power would differ as much from one: 1 where one outshines all others."""
+    power = {id(stretch.laser): float(stretch.laser.power.sum()) for stretch in stretches}
+    shares = np.array(list(power.values())) / sum(power.values())
+    return float(1 / np.square(shares).sum())
 
 
 def cells(region: Region) -> tuple[np.ndarray, np.ndarray]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lasers, part by part: seconds to the error that the integrator Sobol has at 64 samples; engine_core alone.
 
-Two scenes: `laser` with its beam in the frame, and the same with the beam above what the camera sees. Error: root
-mean square difference of two seeds / sqrt 2, of the mean. Seconds: of the processor, on one thread, and of the
-part alone.
+Two scenes: `laser` with its beam in the frame, and the same with the beam above what the camera sees. Error:
+root mean square difference of two seeds / sqrt 2, of the mean. Seconds: of the processor, on one thread, of
+the part alone.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def by_control_variates(scene: Scene, samples: int, seed: int) -> tuple[np.ndarr
             picture.allocate(_in_turn)
             for number in range(len(picture)):
                 picture.refine(number, lambda _: None)
-            picture.finish()
+            picture.finish(_in_turn)
     seconds = time.process_time() - start
     return sum(layer.radiance.astype(np.float64) for layer in film.layers[1:]), seconds
 

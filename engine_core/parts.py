@@ -43,14 +43,20 @@ NODE_RAYS = NODES + 2 * BISECTIONS
 MOST_BARE = 16
 """Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""
 
+VISIBLE = 0.08
+"""`OverScreen.visible`, but for lasers."""
+
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
 BEAM_SPLIT = 4
 """The same beside beams of lasers."""
 
-WORTH = 4
-"""Points of a laser's net that take as long as a sample with a camera ray of its own."""
+WORTH = 8
+"""Points of a laser's net that count as one of `Settings.samples`."""
+
+BY_CHANCE = 0.16
+"""`OverScreen.visible` of lasers, whose nets have steps that would have everything sampled."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -92,6 +98,7 @@ class OverScreen:
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
         ``sampled`` has no error in common.
+    visible : noise of a pixel, of its brightness, that chance alone may make in a picture of one sample.
     """
 
     at_nodes: StagedIntegrand
@@ -103,6 +110,7 @@ class OverScreen:
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None = None
     fresh: StagedIntegrand | None = None
+    visible: float = VISIBLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +190,12 @@ def _by_net(
     elsewhere: np.ndarray | None = None,
     split: int = SPLIT,
     worth: int = 1,
+    visible: float = VISIBLE,
     many: float = 1.0,
 ) -> OverScreen:
-    """worth : points of a net that take as long as a sample with a camera ray of its own.
+    """worth : points of a net that count as one of `Settings.samples`.
 
-    many : of how many independent integrals it is the sum, whose errors even out.
+    visible : as in `OverScreen`. many : of how many integrals it is the sum, whose errors even out.
     """
     # The net's own error falls as 1 / points, and should stay below that of all else.
     wanted = np.log2(settings.samples * worth / many) / 2 + 4
@@ -195,7 +204,7 @@ def _by_net(
     inside = Integrated(integrand, points, settings.seed)
     fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
     rays = max(1, points // worth)
-    return OverScreen(inside, None, inside, rays, integrand, split, outlines, elsewhere, fresh)
+    return OverScreen(inside, None, inside, rays, integrand, split, outlines, elsewhere, fresh, visible)
 
 
 def _of_fog(
@@ -272,7 +281,9 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH, _many(fog.stretches))
+        by = _by_net(
+            fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH, BY_CHANCE, _many(fog.stretches)
+        )
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -284,7 +295,16 @@ def _of_lasers(
                 parts.append(
                     Part("surfaces where lasers end", LASER, own[0], 1, AroundLights(found, own, none, none))
                 )
-        by = _by_net(lit, settings, beside(lit.stretches), elsewhere, BEAM_SPLIT, WORTH, _many(lit.stretches))
+        by = _by_net(
+            lit,
+            settings,
+            beside(lit.stretches),
+            elsewhere,
+            BEAM_SPLIT,
+            WORTH,
+            BY_CHANCE,
+            _many(lit.stretches),
+        )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

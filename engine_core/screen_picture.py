@@ -64,9 +64,6 @@ MOST_DEAR = 4
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
 
-VISIBLE = 0.08
-"""Noise of a pixel, of its brightness, that chance alone may make in a picture of one sample."""
-
 PEAK = 4.0
 """How many times as large a single speck may be, as far as samples nearby tell."""
 
@@ -114,7 +111,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
-        self._elsewhere, self._fresh = by.elsewhere, by.fresh
+        self._elsewhere, self._fresh, self._visible = by.elsewhere, by.fresh, by.visible
         self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
         if by.alone is by.sampled:
             self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
@@ -313,7 +310,7 @@ class ScreenPicture:
         chance = np.empty((height, width), np.float32)
         deviation = np.empty((height, width), np.float32)
         dim = 0.25 * float(self._mean.mean()) * CHANNELS + 1e-30
-        allowed = VISIBLE / np.sqrt(settings.samples)
+        allowed = self._visible / np.sqrt(settings.samples)
         peaks = found.copy()
         peaks[alone] = 0
         peaks = np.sqrt(_largest_of_blocks(peaks.reshape(height, width))) / PEAK

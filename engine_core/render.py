@@ -143,6 +143,7 @@ class _Render:
         self._begin = time.perf_counter()
         self._settings = settings
         self._sink = sink
+        self._stop = Event()
         self._camera: Camera = scene.camera
         sink.progress(0.0, 0.0, None, "Building the scene")
         self._integrand = DirectLight(
@@ -191,7 +192,6 @@ class _Render:
         self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
         cells = sum(len(tile.cells()[0]) for tile in self._tiles)
         self._keep_choices = cells * len(self._integrand.lights) <= _KEPT_CHOICES
-        self._stop = Event()
         self._done = self._pass_work = 0
         self._counts: Counter[str] = Counter()
         self._counting = Lock()

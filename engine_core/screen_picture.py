@@ -285,7 +285,7 @@ class ScreenPicture:
         self._count = np.zeros((height, width), np.int32)
         self._count.reshape(-1)[pilot] = 1
         self._count.reshape(-1)[alone] = OUTLINE_SAMPLES
-        found = np.zeros(height * width, np.float32)
+        found = np.zeros(height * width)  # squares, which float32 would not hold of what is brightest
 
         def few(chunk: tuple[int, np.ndarray]) -> None:
             n, part = chunk
@@ -345,11 +345,15 @@ class ScreenPicture:
         budget = self._left - len(pilot) * self._cost - len(alone) * OUTLINE_SAMPLES * self._alone_cost
         of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
         of_served = float(deviation.sum(dtype=np.float64)) - of_alone
+        wanted = deviation.ravel()
+        if of_served + of_alone < np.finfo(np.float32).tiny:
+            # Black, as far as is seen: what is spread evenly in any case is all.
+            wanted, budget = np.ones_like(wanted), DEFENSIVE * budget
+            of_served, of_alone = float(wanted.size - alone.size), float(alone.size)
         mean_cost = (of_served * self._cost + weight * of_alone * self._alone_cost) / max(
             of_served + weight * of_alone, 1e-300
         )
         budget /= max(mean_cost, 1.0)
-        wanted = deviation.ravel()
         if weight != 1:
             wanted = wanted.copy()
             wanted[alone] *= weight

@@ -115,6 +115,7 @@ def test_pictures_of_any_size_are_finite(size, samples):
         Volume(scattering=1e-9),
         Volume(scattering=(1, 0, 0), absorption=(0, 1, 0)),
         Volume(scattering=[[0.1] * 3, [0.3] * 3], anisotropy=[1, -1]),
+        Volume(scattering=0.1, anisotropy=-1),
     ],
 )
 def test_pictures_of_any_fog_are_finite(volume):
@@ -122,6 +123,26 @@ def test_pictures_of_any_fog_are_finite(volume):
     for integrator in ("control_variates", "cv_only", "sobol", "quadrature"):
         settings = Settings(2, integrator=integrator, threads=2)
         assert np.isfinite(render(scene(*lights, volume=volume), settings).combined).all()
+
+
+@pytest.mark.parametrize("integrator", ["control_variates", "sobol"])
+def test_lights_of_which_some_are_chosen_light_fog(integrator):
+    corners = np.indices((4, 3)).reshape(2, -1).T * (1.5, 1.2) + (-3, 1.5)
+    lights = [PointLight(20.0, position=(x, 1, z), radius=0.1) for x, z in corners]
+    every, one = (
+        render(scene(*some), Settings(16, integrator=integrator)).volume.mean() for some in (lights, lights[:1])
+    )
+    assert every > 6 * one > 0
+
+
+def test_black_fog_is_known_to_be_black_and_costs_little():
+    made = scene(*LIT["ball"])
+    shut = box(np.array(OUTSIDE) - 0.6, np.array(OUTSIDE) + 0.6, visible_to_camera=False)
+    pictures = made, replace(made, meshes=(*made.meshes, shut))
+    lit, dark = (render(picture, Settings(1, standard_error=True)) for picture in pictures)
+    assert not dark.combined[..., :3].any() and not dark.standard_error.any()
+    assert dark.layers[1].sample_count.any()
+    assert dark.layers[1].sample_count.sum() < 0.5 * lit.layers[1].sample_count.sum()
 
 
 def test_threads_and_runs_change_nothing():

@@ -130,7 +130,8 @@ def test_lights_of_which_some_are_chosen_light_fog(integrator):
     corners = np.indices((4, 3)).reshape(2, -1).T * (1.5, 1.2) + (-3, 1.5)
     lights = [PointLight(20.0, position=(x, 1, z), radius=0.1) for x, z in corners]
     every, one = (
-        render(scene(*some), Settings(16, integrator=integrator)).volume.mean() for some in (lights, lights[:1])
+        render(scene(*some), Settings(16, integrator=integrator)).volume.mean()
+        for some in (lights, lights[:1])
     )
     assert every > 6 * one > 0
 

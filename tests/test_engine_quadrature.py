@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from engine_core.integration import quadrature
 from engine_core.integration.integrand import FunctionOnGrid, GridCells
+from engine_core.integration.point_sets import SobolPoints
 from engine_core.integration.problem import Pool, Problem
-from engine_core.integration.quadrature import Quadrature, integrate_rest
+from engine_core.integration.quadrature import Quadrature, integrate_rest, sum_quadrature
 from engine_core.integration.rules import grid_nodes, halves, nested_rules, new_nodes
 
 Function = Callable[[np.ndarray], np.ndarray]
@@ -281,6 +283,21 @@ def test_lanes_that_need_no_rest_are_left_alone() -> None:
     np.testing.assert_allclose(result.value[0, 4:], (1 + x) / 3, rtol=0.05)
     # 9 + 8 nodes of each of the two points of the four bins that hit, and of the pilot's one.
     assert result.evaluations == 4 * 3 * 17
+
+
+def test_bins_that_hit_nothing_take_no_light_from_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dark(_HalfHit):
+        def first(self, bins: GridCells, u: np.ndarray) -> _Stage:
+            return replace(super().first(bins, u), values=None)
+
+    monkeypatch.setattr(quadrature, "_BATCH", 27)  # a bin at once, of which the first hit nothing
+    points = SobolPoints(range(1), 0, 0)
+    points.prepare(1)
+    bins = GridCells(np.arange(8)[None], (8,))
+    sums = sum_quadrature(Dark(), bins, np.arange(8, dtype=np.uint32), points, 0, 1, 1e-3)
+    assert (sums.values[0] > 0).tolist() == 4 * [False] + 4 * [True]
+    missed = sum_quadrature(Dark(), bins[:4], np.arange(4, dtype=np.uint32), points, 0, 1, 1e-3)
+    assert missed.values.shape == (1, 4)
 
 
 @pytest.mark.parametrize(

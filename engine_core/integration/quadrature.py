@@ -304,9 +304,10 @@ def sum_quadrature(
         if after_first is not None:
             after_first(part, start, stage)
         lane = np.arange(width * count) if stage.lane is None else stage.lane
-        values = np.zeros((0, len(lane)))
         if len(lane):
             values = integrate_rest(integrand, stage, len(lane), tolerance)[0]
+        else:  # how many channels there are is told all the same
+            values = integrand.rest(stage, lane, np.zeros((integrand.rest_dimensions, 0)))[1]
         if total is None:
             total = np.zeros((len(values) if stage.values is None else len(stage.values), len(keys)))
         if stage.values is not None:

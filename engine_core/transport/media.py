@@ -19,6 +19,7 @@ from ..geometry.frame import Frame
 from ..geometry.vectors import take
 from ..scene import Scene, Volume
 from ..shading.terms import LARGEST
+from .phase import bounded
 
 DIRECT = 12
 """Bodies, up to which a set of bits is the number of its mixture."""
@@ -68,10 +69,11 @@ class Media:
         self._boundaries = boundaries
         self.bodies, self.convex = len(boundaries), boundaries.convex
         parts = [*volumes, Volume() if everywhere is None else everywhere]
-        self.anisotropy = np.unique([g for volume in parts for g in volume.anisotropy])
+        anisotropy = [bounded(volume.anisotropy) for volume in parts]
+        self.anisotropy = np.unique(np.concatenate(anisotropy))
         scattering = np.zeros((len(parts), len(self.anisotropy), 3))
-        for volume, rows in zip(parts, scattering, strict=True):
-            np.add.at(rows, np.searchsorted(self.anisotropy, volume.anisotropy), volume.scattering)
+        for volume, g, rows in zip(parts, anisotropy, scattering, strict=True):
+            np.add.at(rows, np.searchsorted(self.anisotropy, g), volume.scattering)
         extinction = np.array([volume.extinction for volume in parts])
         self.grey = bool((extinction == extinction[:, :1]).all())
         extinction = extinction[:, :1] if self.grey else extinction

@@ -583,8 +583,7 @@ class ScatteredLight(Scattered):
         if g.any():
             cosine = -x / r
             factor *= phase.value((1 - cosine) / 2, (1 + cosine) / 2, g)
-            # Where nothing is scattered this way at all, as by g = 1, any density does.
-            factor /= np.maximum(factor.max(axis=0), np.float32(1e-30))
+            factor /= factor.max(axis=0)
         return factor
 
     def _arriving(

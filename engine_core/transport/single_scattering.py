@@ -571,7 +571,8 @@ class ScatteredLight(Scattered):
         """(steps + 1, P, 1) extinction and phase function at even steps of the angle, the largest about 1."""
         scattering = self._scattering
         x, t = about.steps(_STEPS)
-        r = np.sqrt(about.distance.astype(np.float32) ** 2 + x * x)
+        # Squares of what is next to nothing are 0, and there would be no direction to the light.
+        r = np.sqrt(np.maximum(about.distance.astype(np.float32) ** 2 + x * x, np.finfo(np.float32).tiny))
         mixture = media.mixture.take(row)
         sigma = scattering.thinnest.astype(np.float32).take(mixture)
         same = scattering.light_state.take(light) == media.inside.take(row)

@@ -448,6 +448,8 @@ class ScreenPicture:
 
         def rows(some: slice) -> None:
             h, residual, radiance = self._mean[some], self._residual[some], layer.radiance[some]
+            for term in (h, residual):
+                np.clip(term, -LARGEST, LARGEST, out=term)
             np.add(h, residual, out=radiance)
             np.clip(radiance, -LARGEST, LARGEST, out=radiance)
             layer.control_variate[some], layer.residual[some] = h, residual

@@ -314,7 +314,8 @@ class AboutPoints(Lanes):
         if places:
             ends = (_ends(x, distance) for x in places)
             parts = [np.where(low > 0, p0 - p, m - m0) / step for m, p in ends]
-            self.breaks = np.sort(np.clip(parts, 0, 1), axis=0)
+            # In the thickest fog a lane may be too short to be parted: its places are 0 / 0.
+            self.breaks = np.sort(np.clip(np.nan_to_num(parts), 0, 1), axis=0)
 
     def _at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """m, p and s as float32: sums of what is positive, so that no digit is lost."""

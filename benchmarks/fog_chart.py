@@ -98,15 +98,19 @@ def _layer(channels: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return np.stack([next(channels[k] for k in channels if k.endswith(ends)) for ends in wanted], axis=-1)
 
 
-def compare(cell: Cell, options: argparse.Namespace) -> list[Estimate]:
-    """The ratios of a row, in the order of `COLUMNS`."""
+def compare(
+    cell: Cell, edge: int, samples: int, seeds: int, cycles_samples: int, cycles_seeds: int
+) -> list[Estimate]:
+    """The ratios of a row, in the order of `COLUMNS`.
+
+    edge : of the pictures. samples : of CV Render's few; many are four times as many.
+    """
     build(cell)
-    set_output(options.edge)
-    seeds, many = range(options.seeds), 4 * options.samples
-    ours = pictures("CV_RENDER", options.samples, seeds), pictures("CV_RENDER", many, seeds)
-    theirs = pictures("CYCLES", options.cycles_samples, range(100, 100 + options.cycles_seeds))
-    sobol = pictures("CV_RENDER", many, seeds, "sobol")
-    few, cv, sobol = ([of_pictures(layer) for layer in by] for by in (*ours, sobol))
+    set_output(edge)
+    few, many = (pictures("CV_RENDER", n, range(seeds)) for n in (samples, 4 * samples))
+    sobol = pictures("CV_RENDER", 4 * samples, range(seeds), "sobol")
+    theirs = pictures("CYCLES", cycles_samples, range(100, 100 + cycles_seeds))
+    few, cv, sobol = ([of_pictures(layer) for layer in by] for by in (few, many, sobol))
     truth = [of_pixels(layer) for layer in theirs]
     return [
         cv[0] / truth[0],
@@ -138,7 +142,9 @@ def main() -> None:
         if options.words and not {cell.light, cell.fog} & set(options.words):
             continue
         told = []
-        for ratio in compare(cell, options):
+        for ratio in compare(
+            cell, options.edge, options.samples, options.seeds, options.cycles_samples, options.cycles_seeds
+        ):
             off = ratio.mean - 1
             sure, far = abs(off) > sigmas * ratio.error, abs(off) > LIMIT
             told.append(f"{100 * off:+.3f} ± {100 * ratio.error:.3f}{' !' if sure and far else ' ?' * sure}")

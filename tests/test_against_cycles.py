@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The same picture as Cycles without bounces, for every kind of light."""
+"""The same picture as Cycles without bounces, for every kind of light, and in fog."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from types import ModuleType
 
 import pytest
 
+from benchmarks import fog_chart
 from benchmarks.compare import Comparison, compare
+from benchmarks.scenes.fog_chart import Cell, cells
 from benchmarks.scenes.one_light import CASES, Case
 
 
@@ -38,3 +40,23 @@ def test_converged_light_is_that_of_cycles(cv: ModuleType, case: Case) -> None:
     assert abs(found.ratio - 1) < min(4 * found.ratio_error + 5e-5, 2e-3)
     assert 0.5 < found.difference < 1.15
     assert found.largest < 7 or case.name in SELDOM_LIT
+
+
+FEW = {("sphere", "ball"), ("spot", "world"), ("world image", "camera inside"), ("mesh", "overlapping")}
+
+
+def assert_fog_is_that_of_cycles(cell: Cell, samples: int, seeds: int, cycles_samples: int) -> None:
+    ratios = fog_chart.compare(cell, 32, samples, seeds, cycles_samples, 2)
+    for name, ratio in zip(fog_chart.COLUMNS, ratios, strict=True):
+        assert abs(ratio.mean - 1) < 5 * ratio.error + 1e-3, name
+
+
+@pytest.mark.parametrize("cell", [cell for cell in cells() if (cell.light, cell.fog) in FEW], ids=str)
+def test_fog_is_that_of_cycles_within_the_noise(cv: ModuleType, cell: Cell) -> None:
+    assert_fog_is_that_of_cycles(cell, 16, 6, 128)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("cell", cells(), ids=str)
+def test_all_fog_is_that_of_cycles(cv: ModuleType, cell: Cell) -> None:
+    assert_fog_is_that_of_cycles(cell, 16, 8, 512)

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.chapters import fog
 from benchmarks.chapters.direct import PrimarySpace
+from benchmarks.scenes import fog_chart
 from benchmarks.scenes.core import FOGS, MODELS, example, scene
 from engine_core import Laser, Scene, Settings, SpotLight, SunLight, render
 from engine_core.integration import integrate
@@ -195,3 +196,14 @@ def test_fog_is_shown_alone() -> None:
     assert all(not np.any(material.reflectance) for material in made.materials)
     laser = shown_in_fog("laser")[0].lights[0]
     assert laser.in_fog and not (laser.on_surfaces or laser.beam or laser.spot)
+
+
+def test_every_light_meets_every_fog_depth_and_anisotropy() -> None:
+    cells = fog_chart.cells()
+    lights, gs, depths = fog_chart.LIGHTS, fog_chart.ANISOTROPIES, fog_chart.DEPTHS
+    assert len({(cell.light, cell.fog) for cell in cells}) == len(lights) * len(fog_chart.FOGS) - 4
+    assert len({(cell.light, cell.g) for cell in cells}) == len(lights) * len(gs)
+    assert len({(cell.light, cell.depth) for cell in cells}) == len(lights) * len(depths)
+    assert len({(cell.fog, cell.g) for cell in cells}) == len(fog_chart.FOGS) * len(gs)
+    assert len({(cell.fog, cell.depth) for cell in cells}) == len(fog_chart.FOGS) * len(depths)
+    assert len({(cell.g, cell.depth) for cell in cells}) == len(gs) * len(depths)

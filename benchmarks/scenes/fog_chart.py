@@ -32,6 +32,9 @@ class Cell:
     g: float
     depth: float
 
+    def __str__(self) -> str:
+        return f"{self.light}, {self.fog}"
+
     @property
     def extinction(self) -> float:
         """Per scene unit. Fog that the camera is in is as deep from there to the middle."""

@@ -55,6 +55,9 @@ CHANCE = 1 / 32
 FRESH_SHARE, FEWEST_FRESH, MOST_FRESH = 1 / 16, 256, 8192
 """How many pixels tell of a net's error: of the samples that are left, at least, at most."""
 
+FRESH_A_TERM = 16
+"""Of these pixels, for each term of the polynomial that is fitted to them."""
+
 DEAR = 8.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
 
@@ -230,13 +233,11 @@ class ScreenPicture:
         that is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds.
         """
         width, height = self._bins
-        budget = self._left / self._cost
-        count = int(np.clip(FRESH_SHARE * budget, FEWEST_FRESH, MOST_FRESH))
-        index = np.flatnonzero(
-            evenly_spread((width, height), max(width * height / count, 1), 3).T & ~self._outline
-        )
-        index = index[self._mean.reshape(-1, CHANNELS)[index].any(axis=1)]
-        if len(index) < FEWEST_FRESH // 2:
+        wanted = np.clip(FRESH_SHARE * self._left / self._cost, FEWEST_FRESH, MOST_FRESH)
+        lit = self._mean.any(axis=2) & ~self._outline
+        share = max(np.count_nonzero(lit) / wanted, 1)
+        index = np.flatnonzero(evenly_spread((width, height), share, self._settings.seed + 3).T & lit)
+        if len(index) == 0:
             return
 
         def differ(part: np.ndarray) -> np.ndarray:
@@ -251,14 +252,17 @@ class ScreenPicture:
         self._left -= len(index) * self._cost * 1.5
         y, x = np.mgrid[:height, :width]
         terms = _terms(x / width - 0.5, y / height - 0.5).astype(np.float32)
-        basis = (
-            terms.reshape(len(terms), -1)[:, index].T[:, :, None]
-            * self._mean.reshape(-1, CHANNELS)[index][:, None]
-        )
+        if len(index) < FRESH_A_TERM * len(terms):
+            terms = terms[:1]
+        of_pixels = self._mean.reshape(-1, CHANNELS)[index].astype(np.float64)
+        # So weighted, the fit has the sum of what it is fitted to.
+        weight = 1 / np.sqrt(np.abs(of_pixels) + 1e-3 * np.abs(of_pixels).mean(axis=0) + 1e-300)
+        basis = terms.reshape(len(terms), -1)[:, index].T[:, :, None] * (of_pixels * weight)[:, None]
         for channel in range(CHANNELS):
-            a = basis[:, :, channel].astype(np.float64)
+            a = basis[:, :, channel]
             scale = np.sqrt(np.square(a).sum(axis=0)) + 1e-300
-            solution = np.linalg.lstsq(a / scale, found[:, channel], rcond=1e-6)[0] / scale
+            b = found[:, channel] * weight[:, channel]
+            solution = np.linalg.lstsq(a / scale, b, rcond=1e-6)[0] / scale
             self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
         # h, from which samples are told apart, has none of it.
 

@@ -200,7 +200,7 @@ class LaserInFog(Scattered):
         arrive, part = self.arriving(segments, stretch, v, t, one_fog)
         seen = np.zeros((1 if part is None else len(part), v.size), np.float32)
         seen[:, arrive] = 1 if part is None else part
-        seen = seen.reshape(-1, *v.shape)
+        seen = seen.reshape(len(seen), *v.shape)
         seen *= weight
         every = len(which) == out.shape[1]
         for colour, factor in segments.unshadowed(stretch, p, v, x, r, one_fog):

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from .image.film import LARGEST, Layer
-from .integration.point_sets import SobolPoints, staged_points
+from .integration.point_sets import PointSet, SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
+from .integration.sobol import hash_combine
 from .parts import AroundLights, Map, Region, Seen, cell_of
 from .settings import Settings
 from .transport.camera_hits import Pixels
@@ -100,14 +101,22 @@ class AroundLightsPicture:
             if (block.core == core).any()
         ]
 
+        # A pixel's samples of each integrand have nets of their own, and pixels keys of theirs.
+        nets: dict[int, tuple[PointSet, PointSet]] = {}
+        for integrand, _, _, n in work:
+            dimensions = integrand.rest_dimensions
+            if dimensions not in nets:
+                nets[dimensions] = staged_points("sobol", 2, dimensions, 1, settings.seed + 5)
+            for group in nets[dimensions]:
+                group.prepare(n)
+
         def sample(number: int) -> np.ndarray:
             integrand, block, which, n = work[number]
             x, y = block.x[which], block.y[which]
             pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._region))
-            points = staged_points("sobol", 2, integrand.rest_dimensions, 1, settings.seed + 5 + number)
-            for group in points:
-                group.prepare(n)
-            sums = sum_samples(integrand, pixels, pixels.key(), points, 0, n, 1, settings.batch_size)
+            keys = hash_combine(pixels.key(), number)
+            points = nets[integrand.rest_dimensions]
+            sums = sum_samples(integrand, pixels, keys, points, 0, n, 1, settings.batch_size)
             return np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
 
         # Summed in one order, whoever is first.

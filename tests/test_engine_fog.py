@@ -25,7 +25,7 @@ from engine_core.settings import DISTANCE_SAMPLING
 from engine_core.shading.closures import Transparent
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
-from engine_core.transport.fog_lanes import Segments
+from engine_core.transport.fog_lanes import FogSegments
 from engine_core.transport.ray_rule import AlongRay, ScatteredAlongRay
 from engine_core.transport.single_scattering import ScatteredLight, SingleScattering
 
@@ -230,7 +230,7 @@ def test_two_fogs_that_overlap(kind):
 
 def _dense(integrand: ScatteredAlongRay, rays, count: int) -> np.ndarray:
     """Brute force (3, N): ``count`` points a lane, each with its own shadow ray."""
-    segments = Segments.of(rays, None, integrand._scattering.media)
+    segments = FogSegments.of(rays, None, integrand._scattering.media)
     total = np.zeros((3, len(rays)))
     s = (np.arange(count) + 0.5) / count
     for _, lanes in integrand._lanes(segments):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.vectors import dot
 from ..integration.integrand import StagedIntegrand
 from .camera_hits import Pixels
 from .camera_rays import CameraRays
@@ -75,6 +76,19 @@ def blocks(
         beside = numbers[seen & (apart < BESIDE) & (np.arange(len(numbers)) != k)]
         found.append(Block(int(numbers[k]), beside, image[:, k], x + x0, y + y0, core))
     return found, owner >= 0
+
+
+def nearest_rays(rays: CameraRays, lights: SceneLights, found: list[Block]) -> np.ndarray:
+    """(L,) how near to each light rays pass through pixels that are not of its block; 0 where it has none."""
+    nearest = np.zeros(len(lights))
+    for block in found:
+        beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
+        origin, direction = rays.exactly(*(block.centre[:, None] + beside))
+        direction = direction / np.sqrt(dot(direction, direction))
+        away = lights.centre[:, block.light, None] - origin
+        away = away - direction * dot(away, direction)
+        nearest[block.light] = np.sqrt(dot(away, away)).min()
+    return nearest
 
 
 @dataclass(eq=False)

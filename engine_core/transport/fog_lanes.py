@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Segments of fog and lights without size, in pairs: all that the integrand is but for shadows.
+"""FogSegments of fog and lights without size, in pairs: all that the integrand is but for shadows.
 
 A *lane* is a segment of one medium and a light. Its variable s in [0, 1] is one in which the integrand is
 flat. About a light at distance D from the ray's line, with x along it from its foot on,
@@ -56,6 +56,7 @@ class BareLights:
     kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
     cone's angle, and 1 over the width of its edge in cosines. state : (L,) uint64, which fogs it is in.
+    nearest : (L,) distance to the light at which a ray is taken to pass at least.
     """
 
     position: np.ndarray
@@ -66,6 +67,7 @@ class BareLights:
     below: np.ndarray
     sharpness: np.ndarray
     state: np.ndarray
+    nearest: np.ndarray
 
     @staticmethod
     def of(scene: SceneLights, number: np.ndarray, media: Media) -> BareLights:
@@ -93,7 +95,8 @@ class BareLights:
         if media.bodies and count:
             origins = np.ascontiguousarray(position.T, np.float32)
             state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
-        return BareLights(position, strength, kind, scene.casts_shadow[number], axes, below, sharpness, state)
+        casts = scene.casts_shadow[number]
+        return BareLights(position, strength, kind, casts, axes, below, sharpness, state, np.zeros(count))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -103,7 +106,7 @@ class BareLights:
 
 
 @dataclass(eq=False)
-class Segments:
+class FogSegments:
     """K segments of fog, of some of N rays.
 
     ray : (K,) ascending. origin, direction : (3, K) float64, of the rays. start, end : (K,) float64.
@@ -128,7 +131,7 @@ class Segments:
     through: np.ndarray | None
 
     @staticmethod
-    def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> Segments:
+    def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> FogSegments:
         """Of rays (N,), None for all."""
         segments, which = rays.segments(ray)
         found = rays.media
@@ -146,7 +149,7 @@ class Segments:
         if not (ray is None and len(which) == len(rays)):
             own = found.ray[segments]
             origin, direction = take(origin, own), take(direction, own)
-        return Segments(
+        return FogSegments(
             which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
             found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
             np.where(colours, wide, np.inf).min(axis=0), np.where(colours, wide, 0).max(axis=0),
@@ -169,7 +172,7 @@ class Lanes(ABC):
     _COMMON = frozenset(("light", "mixture", "sigma", "casts_shadow"))
 
     def __init__(
-        self, segments: Segments, lights: BareLights, media: Media, segment: np.ndarray, light: np.ndarray
+        self, segments: FogSegments, lights: BareLights, media: Media, segment: np.ndarray, light: np.ndarray
     ) -> None:
         self._segments, self._lights, self._media = segments, lights, media
         self.segment, self.light = segment, light
@@ -235,19 +238,22 @@ class Lanes(ABC):
 class AboutPoints(Lanes):
     """Lanes to points and spots."""
 
-    def __init__(self, segments: Segments, lights: BareLights, media: Media) -> None:
+    def __init__(self, segments: FogSegments, lights: BareLights, media: Media) -> None:
         origin, direction = segments.origin[:, None], segments.direction[:, None]
         # (L, K), as all of these.
         foot = lights.position[:, :, None] - origin
         at = dot(foot, direction)
         foot = at * direction - foot
-        distance = np.sqrt(dot(foot, foot))
+        distance = np.maximum(np.sqrt(dot(foot, foot)), lights.nearest[:, None])
         low, high = segments.start - at, segments.end - at
         closed = _closed(segments, lights, media)
         first, inner = low, []
         is_spot = (lights.kind == SPOT).any()
         if is_spot:
-            low, high, *inner = _within_cones(lights, foot, direction, low, high)
+            # To the light's own space; what is outside of the cone, which is most, goes first.
+            axes = -lights.axes.transpose(2, 0, 1)
+            at_foot, along = ((axes @ v.swapaxes(0, -2)).swapaxes(0, 1) for v in (foot, segments.direction))
+            low, high = _within_cones(at_foot, along, lights.below[:, None], low, high)
         thinnest = segments.thinnest.take(segments.mixture)
         high = np.where(high > low, _reached(low, high, distance, thinnest, closed), low)
         rows = np.flatnonzero(high > low)
@@ -262,7 +268,11 @@ class AboutPoints(Lanes):
         if len(rows) == 0:
             return
         foot, distance, low, high, begin = (flat(x) for x in (foot, distance, low, high, low + at))
-        distance = np.maximum(distance, np.maximum(_NEAREST * np.maximum(-low, high), _TINY))
+        below, sharpness = (x.take(self.light) for x in (lights.below, lights.sharpness))
+        if is_spot:
+            at_foot, along = flat(at_foot), flat(along)
+            begins, ends = _within_cones(at_foot, along, below - 1 / sharpness, low, high)
+            inner = [np.where(ends > begins, x, low) for x in (begins, ends)]
         m0, p0 = _ends(low, distance)
         m1, p1 = _ends(high, distance)
         step = np.where(low > 0, p0 - p1, m1 - m0)
@@ -271,19 +281,17 @@ class AboutPoints(Lanes):
         if is_spot:
             length += low - flat(first)
         self._weight = np.exp(-(take(segments.depth, segment) + length * self.sigma)) * (step / distance)
-        self._set_breaks([flat(x) for x in inner], low, distance, m0, p0, step)
+        self._set_breaks(inner, low, distance, m0, p0, step)
         self._far = bool(np.abs(lights.position).max() > _NEAR)
         self._cone = None
-        along = take(segments.direction, segment)
         if self._far or not np.all(self._closed):
-            self.begin = (take(segments.origin, segment) + along * begin).astype(np.float32)
+            self.begin = (take(segments.origin, segment) + take(segments.direction, segment) * begin).astype(
+                np.float32
+            )
         if is_spot:
-            axes = np.broadcast_to(lights.axes[:, :, self.light], (3, 3, len(rows)))
-            cone = [-np.einsum("ijn,jn->in", axes, v) for v in (foot, along)]
-            self._cone = np.stack(cone).astype(np.float32)
+            self._cone = np.stack([at_foot, along]).astype(np.float32)
             self._below, self._sharpness = (
-                np.broadcast_to(x.take(self.light), len(rows)).astype(np.float32)
-                for x in (lights.below, lights.sharpness)
+                np.broadcast_to(x, len(rows)).astype(np.float32) for x in (below, sharpness)
             )
         self.sigma = self.sigma.astype(np.float32)
         self._foot, self._distance = foot.astype(np.float32), distance.astype(np.float32)
@@ -396,7 +404,7 @@ class AboutPoints(Lanes):
 class TowardsSuns(Lanes):
     """Lanes to suns."""
 
-    def __init__(self, segments: Segments, lights: BareLights, media: Media) -> None:
+    def __init__(self, segments: FogSegments, lights: BareLights, media: Media) -> None:
         light, segment = np.divmod(np.arange(len(lights) * len(segments)), len(segments))
         super().__init__(segments, lights, media, segment, light)
         least = np.broadcast_to(segments.thinnest.take(self.mixture), len(segment))
@@ -466,7 +474,7 @@ def _place_of(low: np.ndarray, distance: np.ndarray, further: np.ndarray) -> np.
     return (whole - square / np.maximum(whole, _TINY)) / 2
 
 
-def _closed(segments: Segments, lights: BareLights, media: Media) -> np.ndarray | bool:
+def _closed(segments: FogSegments, lights: BareLights, media: Media) -> np.ndarray | bool:
     """(L, K) whether the way to the light stays in the segment's own fog; True if all do."""
     if media.bodies == 0:
         return True
@@ -486,38 +494,32 @@ def _reached(low, high, distance, sigma, closed) -> np.ndarray:
     return np.minimum(high, at)
 
 
-def _within_cones(lights, foot, direction, low, high) -> tuple[np.ndarray, ...]:
-    """Segments (L, K) clipped to the cones of spots, and the stretches of full light in these.
+def _within_cones(
+    at_foot: np.ndarray, along: np.ndarray, below: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """From where to where, between ``low`` and ``high`` (...), lines are in cones about z; never if the second
+    is not above the first.
+
+    at_foot, along : (3, ...) of lines, in the lights' own spaces. below : 1 - cosine of half the cone's angle.
 
     A place is on the cone where z^2 = cos^2 |v|^2, with v the vector from the light and z along its axis,
     which is quadratic in x. A cone of at most a half space is convex: what is in it is in one piece.
     """
-    v0 = -np.einsum("ijl,jlk->ilk", lights.axes, foot)
-    v1 = -np.einsum("ijl,jlk->ilk", lights.axes, np.broadcast_to(direction, foot.shape))
-    stretches = []
-    for inset in (np.zeros(len(lights)), 1 / lights.sharpness):
-        below = (lights.below - inset)[:, None]
-        # sin^2 z^2 - cos^2 (|v|^2 - z^2) = alpha x^2 + 2 beta x + gamma
-        sine = below * (2 - below)
-        gamma, beta, alpha = (
-            sine * (a[2] * b[2]) - (1 - sine) * (a[0] * b[0] + a[1] * b[1])
-            for a, b in ((v0, v0), (v0, v1), (v1, v1))
-        )
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            q = -(beta + np.copysign(np.sqrt(np.maximum(beta * beta - alpha * gamma, 0)), beta))
-            roots = [np.clip(np.where(np.isnan(r), low, r), low, high) for r in (q / alpha, gamma / q)]
-        cuts = [low, np.minimum(*roots), np.maximum(*roots), high]
-        begin, end = high, low
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
-            x = 0.5 * (a + np.minimum(b, a + 1e30))
-            inside = (
-                (v0[2] + v1[2] * x > 0) & ((alpha * x + 2 * beta) * x + gamma >= 0) & (b > a) & (below > 0)
-            )
-            begin, end = (
-                np.where(inside, np.minimum(begin, a), begin),
-                np.where(inside, np.maximum(end, b), end),
-            )
-        stretches += [begin, end]
-    low, high, first, last = stretches
-    none = last <= first
-    return low, high, np.where(none, low, first), np.where(none, low, last)
+    # sin^2 z^2 - cos^2 (|v|^2 - z^2) = alpha x^2 + 2 beta x + gamma
+    sine = below * (2 - below)
+    gamma, beta, alpha = (
+        sine * (a[2] * b[2]) - (1 - sine) * (a[0] * b[0] + a[1] * b[1])
+        for a, b in ((at_foot, at_foot), (at_foot, along), (along, along))
+    )
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        q = -(beta + np.copysign(np.sqrt(np.maximum(beta * beta - alpha * gamma, 0)), beta))
+        roots = [np.clip(np.where(np.isnan(r), low, r), low, high) for r in (q / alpha, gamma / q)]
+    cuts = [low, np.minimum(*roots), np.maximum(*roots), high]
+    begin, end = high, low
+    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        x = 0.5 * (a + np.minimum(b, a + 1e30))
+        inside = (at_foot[2] + along[2] * x > 0) & ((alpha * x + 2 * beta) * x + gamma >= 0)
+        inside &= (b > a) & (below > 0)
+        begin = np.where(inside, np.minimum(begin, a), begin)
+        end = np.where(inside, np.maximum(end, b), end)
+    return begin, end

@@ -12,13 +12,14 @@ integrand is compared with the polynomial times the visibility that was found.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ..integration.inner_rules import InnerRule, Nodes
 from ..integration.rules import gauss
 from .direct_light import SHADOW
-from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, Lanes, Segments, TowardsSuns
+from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, FogSegments, Lanes, TowardsSuns
 from .single_scattering import FogRays, Scattered, SingleScattering
 
 NODES, NODES_OF_SPOTS = 17, 17
@@ -58,10 +59,18 @@ class ScatteredAlongRay(Scattered):
         check=lambda: None,
         nodes: int = NODES,
         nodes_of_spots: int = NODES_OF_SPOTS,
+        nearest: np.ndarray | None = None,
     ) -> None:
-        """lights : (L,) numbers of those without size, None for all of these. nodes : of each lane."""
+        """lights : (L,) numbers of those without size, None for all of these. nodes : of each lane.
+
+        nearest : of all lights of the scene, how near to them `along` has rays pass at least, in the frame's
+            units: where a light's own pixels are another's, polynomials need not climb its peak.
+        """
         super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
         self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
+        self._tamed = self._bare
+        if nearest is not None:
+            self._tamed = replace(self._bare, nearest=nearest[self._lights])
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
@@ -95,8 +104,8 @@ class ScatteredAlongRay(Scattered):
         radiance, told = np.zeros((3, count)), np.zeros((2, count))
         if count == 0:
             return radiance, told
-        segments = Segments.of(rays, lane, self._scattering.media)
-        for kind, lanes in self._lanes(segments):
+        segments = FogSegments.of(rays, lane, self._scattering.media)
+        for kind, lanes in self._lanes(segments, self._tamed if u is None else self._bare):
             if len(lanes) == 0:
                 continue
             ray = segments.ray.take(lanes.segment)
@@ -114,13 +123,13 @@ class ScatteredAlongRay(Scattered):
         told[0] = np.sqrt(told[0])
         return self._bounded(radiance), told
 
-    def _lanes(self, segments: Segments) -> Iterator[tuple[int, Lanes]]:
+    def _lanes(self, segments: FogSegments, bare: BareLights) -> Iterator[tuple[int, Lanes]]:
         """Lanes of all kinds of lights, in batches."""
         for kind, make in ((POINT, AboutPoints), (SPOT, AboutPoints), (SUN, TowardsSuns)):
-            rows = np.flatnonzero(self._bare.kind == kind)
+            rows = np.flatnonzero(bare.kind == kind)
             step = max(1, _BATCH // (self._nodes[kind] * max(len(segments), 1)))
             for low in range(0, len(rows), step):
-                lights = self._bare.take(rows[low : low + step])
+                lights = bare.take(rows[low : low + step])
                 yield kind, make(segments, lights, self._scattering.media)
 
     def _integral(
@@ -178,9 +187,10 @@ class ScatteredAlongRay(Scattered):
 
         edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
-        at = (u + np.arange(CHECKS, dtype=np.float32)[:, None]) / np.float32(CHECKS)
+        # Rays ask what is seen at places in each part of a lane; how right the polynomial is needs but one.
+        at = np.concatenate([u[None], (u + np.arange(CHECKS, dtype=np.float32)[:, None]) / CHECKS])
         cell, here = np.searchsorted(s[1:-1], at, side="right"), np.arange(len(lanes))
-        believed, known = seen[cell, here], np.full(at.shape, 1 / CHECKS, np.float32)
+        believed, known = seen[cell, here], np.ones(at.shape, bool)
         step, lane, low, high = edges
         if lane.size:
             row = np.full((len(s) - 1, len(lanes)), -1)
@@ -190,9 +200,18 @@ class ScatteredAlongRay(Scattered):
             place, row = at[near], row[near]
             below = place < low.take(row)
             believed[near] = np.where(below, believed[near], seen[cell + 1, here][near])
-            known[near] *= below | (place > high.take(row))
-        truth = lanes.smooth(at) * (known * self._seen(lanes, at))
-        return (truth - pieces.value(None, at) * (known * believed)).sum(axis=2)
+            known[near] = below | (place > high.take(row))
+        lit = np.flatnonzero(believed[0] & known[0])
+        missing = np.zeros((*pieces.whole.shape[:2], len(lanes)))
+        if lit.size:
+            place = at[0].take(lit)
+            missing[:, :, lit] = lanes.take(lit).smooth(place) - pieces.value(lit, place)
+        wrong, lane = np.nonzero((self._seen(lanes, at[1:]) != believed[1:]) & known[1:])
+        if lane.size:
+            change = lanes.take(lane).smooth(at[1 + wrong, lane])
+            change *= np.where(believed[1 + wrong, lane], np.float32(-1 / CHECKS), np.float32(1 / CHECKS))
+            missing += _sums(lane, change, len(lanes))
+        return missing
 
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""

@@ -29,7 +29,7 @@ from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
 from .settings import Settings
 from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile, Pixels
-from .transport.light_choice import CELL, LightChoice
+from .transport.light_choice import CELL, EveryLight, LightChoice
 
 POLL_SECONDS = 0.05
 
@@ -86,7 +86,7 @@ class _Tile:
     y0: int
     x1: int
     y1: int
-    choice: LightChoice | None = None
+    choice: LightChoice | EveryLight | None = None
 
     def pixels(self) -> Pixels:
         """All pixels, cell after cell."""
@@ -158,6 +158,8 @@ class _Render:
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
         self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
+        if self._integrand.samples_every:
+            self._split = 1
         self._points = staged_points(
             "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
             self._integrand.screen_dimensions,

@@ -19,8 +19,8 @@ class Settings:
     """Choices of the render; every default is what a user would want.
 
     samples : camera rays a pixel, at most; powers of two serve the Sobol sequence best.
-    light_samples : shadow rays for each camera ray, 0 to choose by the lights; control variates take one
-        for each light.
+    light_samples : shadow rays for each camera ray, 0 to choose by the lights; control variates, and up to
+        16 lights none of which has a size, take one for each light.
     integrator : "control_variates" (polynomials, and Sobol points where these are wrong; with more than 8
         lights, mesh lights of many triangles, depth of field or only points as "sobol"), "sobol"
         (Owen-scrambled Sobol points), "monte_carlo" (pseudo-random points), "quadrature" (nested adaptive

@@ -52,6 +52,10 @@ transparent surfaces."""
 
 NON_FINITE = "non-finite samples"
 
+EVERY_POINT = 16
+"""Lights up to which all are sampled at every hit, if none has a size: they need no net, and many spots light
+few places, so that a choice among them costs as much as the rays that it saves."""
+
 __all__ = [
     "ALPHA",
     "NORMAL",
@@ -95,7 +99,8 @@ class DirectLight:
     messages : what of the scene is left out, one sentence each.
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
-    only_points : no light has a size, and no fog glows. channels, transparent, sees : as in `CameraStage`.
+    only_points : no light has a size, and no fog glows.
+    samples_every : no light is chosen: a hit gets one sample of each. channels, transparent, sees : as in `CameraStage`.
     media : the fogs of the scene, None for none.
     frame, shader, surfaces, stage, shadows : what else it is made of.
     reflects : whether light off any surface may be seen. shows : whether anything but depth may be.
@@ -145,6 +150,7 @@ class DirectLight:
         self.shadows = Shadows(self.surfaces, shader, crossings, self.media)
         self._weighed = WeighedLights(self.lights)
         self.sampling = sampling
+        self.samples_every = self.only_points and 1 < len(self.lights) <= EVERY_POINT
         self.screen_dimensions = self.stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
         self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
@@ -162,13 +168,15 @@ class DirectLight:
 
     def choice_of_cells(
         self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None] = lambda: None
-    ) -> LightChoice | None:
+    ) -> LightChoice | EveryLight | None:
         """The light choice of K cells of the picture, None for at most one light.
 
         cell_x, cell_y : (K,) numbered from the whole frame's corner. between : called now and then.
         """
         if len(self.lights) < 2:
             return None
+        if self.samples_every:
+            return EveryLight()
         if len(self.lights) <= WEIGHED:
             return self._weighed
         return CandidateLights(self.lights, self._clusters(cell_x, cell_y, between))

@@ -17,7 +17,7 @@ from .integration.integrand import StagedIntegrand
 from .integration.integrated import Integrated
 from .scene import Scene
 from .settings import Settings
-from .transport.around_light import AroundLight, Block, blocks, nearest_rays
+from .transport.around_light import AroundLight, Block, blocks, tamed
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
@@ -225,7 +225,11 @@ def _of_fog(
             )
         return found
 
-    parts, rest, elsewhere, nearest = [], scattering.sized, None, None
+    def and_beams(region: Region, map_: Map) -> np.ndarray:
+        found = outlines(region, map_)
+        return found if calm is None else found | calm.beams
+
+    parts, rest, elsewhere, calm = [], scattering.sized, None, None
     bare, choice = scattering.sizeless, None
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
@@ -242,12 +246,12 @@ def _of_fog(
             others = [integrands(np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
             by = AroundLights(found, own, beside, others)
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
-            nearest = nearest_rays(scattering.rays, scattering.lights, found)
+            calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
         else:
             elsewhere = None
     if bare.size:
-        whole = ScatteredAlongRay(scattering, bare, check, nearest=nearest)
-        by = OverScreen(whole, AlongRay(NODE_RAYS), whole, NODE_RAYS + CHECKS, whole, 1, outlines, elsewhere)
+        whole = ScatteredAlongRay(scattering, bare, check, tamed=calm)
+        by = OverScreen(whole, AlongRay(NODE_RAYS), whole, NODE_RAYS + CHECKS, whole, 1, and_beams, elsewhere)
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)

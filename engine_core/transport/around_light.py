@@ -17,7 +17,9 @@ from ..geometry.vectors import dot
 from ..integration.integrand import StagedIntegrand
 from .camera_hits import Pixels
 from .camera_rays import CameraRays
+from .light_choice_in_fog import AirLights
 from .light_samples import SceneLights
+from .single_scattering import in_cone
 
 HALF_WIDTH = 6
 """Of the block about a light's image, in pixels."""
@@ -27,6 +29,15 @@ BESIDE = 4 * HALF_WIDTH
 
 CORE = 2
 """Half the width of what is close to it."""
+
+NARROW = 16.0
+"""Pixels across, below which a spot's beam is too narrow for nodes to be sure to see it."""
+
+FARTHEST = 64.0
+"""From a spot's image, in pixels, that its beam is called narrow at most."""
+
+AROUND = 256
+"""Directions in the picture in which a spot's beam is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +89,75 @@ def blocks(
     return found, owner >= 0
 
 
-def nearest_rays(rays: CameraRays, lights: SceneLights, found: list[Block]) -> np.ndarray:
-    """(L,) how near to each light rays pass through pixels that are not of its block; 0 where it has none."""
-    nearest = np.zeros(len(lights))
+@dataclass(frozen=True, eq=False)
+class Tamed:
+    """What polynomials need not follow: light next to where it comes from.
+
+    nearest, whole : (L,) distances of rays to lights, in the frame's units. Nodes take a ray to pass no nearer
+        than the first, which pixels do that are not of a block; of a spot that begins as a narrow beam they see
+        nothing there, and all of it from the second on. Both are 0 of a light that is not in the picture.
+    beams : (W, H) bool, pixels of the beams from there to there.
+    """
+
+    nearest: np.ndarray
+    whole: np.ndarray
+    beams: np.ndarray
+
+
+def tamed(
+    rays: CameraRays,
+    lights: SceneLights,
+    cones: AirLights,
+    found: list[Block],
+    region: tuple[int, int, int, int],
+) -> Tamed:
+    """Of the lights of blocks ``found`` in a region (x0, y0, x1, y1). cones : of all lights."""
+    x0, y0, x1, y1 = region
+    nearest, whole = np.zeros((2, len(lights)))
+    beams = np.zeros((x1 - x0, y1 - y0), bool)
     for block in found:
+        k, centre = block.light, block.centre
         beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
-        origin, direction = rays.exactly(*(block.centre[:, None] + beside))
-        direction = direction / np.sqrt(dot(direction, direction))
-        away = lights.centre[:, block.light, None] - origin
-        away = away - direction * dot(away, direction)
-        nearest[block.light] = np.sqrt(dot(away, away)).min()
-    return nearest
+        nearest[k] = _distances(rays, lights, k, centre[:, None] + beside).min()
+        lit = _lit_around(rays, cones, k, centre)
+        wide = 2 * np.pi * lit.mean()
+        far = min(NARROW / 2 / np.tan(wide / 2), FARTHEST) if 0 < wide < np.pi / 2 else 0
+        if far <= HALF_WIDTH:
+            continue
+        whole[k] = _distances(rays, lights, k, centre[:, None] + beside * (far / HALF_WIDTH)).min()
+        low, high = (np.clip(np.rint(centre + way * far), (x0, y0), (x1, y1)).astype(int) for way in (-1, 1))
+        x, y = np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij")
+        apart = x + 0.5 - centre[0], y + 0.5 - centre[1]
+        radius, angle = np.hypot(*apart), np.arctan2(apart[1], apart[0])
+        # Within a pixel, as its middle does not speak for all of it.
+        turns = angle + np.array([-1, 0, 1])[:, None, None] / np.maximum(radius, 1)
+        inside = lit[np.floor(turns * (AROUND / (2 * np.pi))).astype(int) % AROUND].any(axis=0)
+        beams[low[0] - x0 : high[0] - x0, low[1] - y0 : high[1] - y0] |= inside & (radius < far)
+    return Tamed(nearest, whole, beams)
+
+
+def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndarray) -> np.ndarray:
+    """(N,) distances of a light to the rays through places (2, N) of the picture."""
+    origin, direction = rays.exactly(*place)
+    direction = direction / np.sqrt(dot(direction, direction))
+    away = lights.centre[:, light, None] - origin
+    away = away - direction * dot(away, direction)
+    return np.sqrt(dot(away, away))
+
+
+def _lit_around(rays: CameraRays, cones: AirLights, light: int, centre: np.ndarray) -> np.ndarray:
+    """(AROUND,) bool, in which directions of the picture from its image a light's cone is seen.
+
+    Lines of the cone through its apex are lines of the picture: it is the same at any distance.
+    """
+    if not cones.coned[light]:
+        return np.ones(AROUND, bool)
+    angle = (np.arange(AROUND) + 0.5) * (2 * np.pi / AROUND)
+    origin, direction = rays.exactly(*(centre[:, None] + HALF_WIDTH * np.stack([np.cos(angle), np.sin(angle)])))
+    direction = direction / np.sqrt(dot(direction, direction))
+    cone = (np.repeat(x[..., light, None].astype(np.float64), AROUND, axis=-1) for x in (cones.apex, cones.axis, cones.cos))
+    first, last = in_cone(*cone, origin, direction)
+    return last > np.maximum(first, 0)
 
 
 @dataclass(eq=False)

@@ -56,7 +56,8 @@ class BareLights:
     kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
     cone's angle, and 1 over the width of its edge in cosines. state : (L,) uint64, which fogs it is in.
-    nearest : (L,) distance to the light at which a ray is taken to pass at least.
+    nearest, whole : (L,) distance to the light at which a ray is taken to pass at least, and from which on it sees
+        all of a spot's light (`around_light.Tamed`); 0 but for nodes.
     """
 
     position: np.ndarray
@@ -68,6 +69,7 @@ class BareLights:
     sharpness: np.ndarray
     state: np.ndarray
     nearest: np.ndarray
+    whole: np.ndarray
 
     @staticmethod
     def of(scene: SceneLights, number: np.ndarray, media: Media) -> BareLights:
@@ -96,7 +98,7 @@ class BareLights:
             origins = np.ascontiguousarray(position.T, np.float32)
             state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
         casts = scene.casts_shadow[number]
-        return BareLights(position, strength, kind, casts, axes, below, sharpness, state, np.zeros(count))
+        return BareLights(position, strength, kind, casts, axes, below, sharpness, state, *np.zeros((2, count)))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -281,6 +283,10 @@ class AboutPoints(Lanes):
         if is_spot:
             length += low - flat(first)
         self._weight = np.exp(-(take(segments.depth, segment) + length * self.sigma)) * (step / distance)
+        if is_spot and lights.whole.any():
+            nearest, whole = (x.take(self.light) for x in (lights.nearest, lights.whole))
+            part = np.clip((distance - nearest) / np.maximum(whole - nearest, _TINY), 0, 1)
+            self._weight *= np.where(whole > 0, part * part * (3 - 2 * part), 1)
         self._set_breaks(inner, low, distance, m0, p0, step)
         self._far = bool(np.abs(lights.position).max() > _NEAR)
         self._cone = None

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..integration.inner_rules import InnerRule, Nodes
 from ..integration.rules import gauss
+from .around_light import Tamed
 from .direct_light import SHADOW
 from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, FogSegments, Lanes, TowardsSuns
 from .single_scattering import FogRays, Scattered, SingleScattering
@@ -59,18 +60,18 @@ class ScatteredAlongRay(Scattered):
         check=lambda: None,
         nodes: int = NODES,
         nodes_of_spots: int = NODES_OF_SPOTS,
-        nearest: np.ndarray | None = None,
+        tamed: Tamed | None = None,
     ) -> None:
         """lights : (L,) numbers of those without size, None for all of these. nodes : of each lane.
 
-        nearest : of all lights of the scene, how near to them `along` has rays pass at least, in the frame's
-            units: where a light's own pixels are another's, polynomials need not climb its peak.
+        tamed : what `along` leaves of the light next to where it comes from; None for all.
         """
         super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
         self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
         self._tamed = self._bare
-        if nearest is not None:
-            self._tamed = replace(self._bare, nearest=nearest[self._lights])
+        if tamed is not None:
+            nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
+            self._tamed = replace(self._bare, nearest=nearest, whole=whole)
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)

@@ -319,7 +319,7 @@ def run(lane: np.ndarray) -> int:
     return split
 
 
-def _in_cone(
+def in_cone(
     apex: np.ndarray, axis: np.ndarray, cos: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """From where to where (P,) rays (3, P) are in cones of at most half of space; never if last < first."""
@@ -551,7 +551,7 @@ class ScatteredLight(Scattered):
         if rows.size == 0:
             return low, high
         light, ray = light.take(rows), ray.take(rows)
-        first, last = _in_cone(
+        first, last = in_cone(
             *(take(x, light).astype(np.float64) for x in (cones.apex, cones.axis, cones.cos)),
             take(rays.origin, ray),
             take(rays.direction, ray),

@@ -140,7 +140,8 @@ class ScreenPicture:
         evaluator = NodeEvaluator(
             self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
         )
-        worth = evaluator.cost / self._cost
+        # Evaluations to a sample of the budget: a rule's rays count one by one.
+        worth = evaluator.cost / self._cost if self._rule is None else SHADOW_RAYS
         budget = total * worth * (1.0 if alone else SHARE)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
         # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of

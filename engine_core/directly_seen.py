@@ -42,7 +42,7 @@ class DirectlySeen:
         self._points = SobolPoints(range(2), seed, GROUP)
         index = np.indices(bins).reshape(2, -1)
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
-        contrast = _contrast_around(self.mean)
+        contrast = contrast_around(self.mean)
         rays = np.ones(bins, np.int64)
         # The mean of all others, for the same reason.
         total = self.mean.mean(axis=0)
@@ -71,7 +71,7 @@ class DirectlySeen:
         return np.concatenate(self._map(look, range(0, index.shape[1], width)), axis=1)
 
 
-def _contrast_around(values: np.ndarray) -> np.ndarray:
+def contrast_around(values: np.ndarray) -> np.ndarray:
     """(C, W, H) difference between the largest and the least of each pixel's eight neighbours."""
     width, height = values.shape[1:]
     around = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)]

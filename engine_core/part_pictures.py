@@ -15,10 +15,10 @@ from .parts import AroundLights, Map, Region, Seen, cell_of
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
-CORE_SAMPLES, MOST_SAMPLES = 32, 2048
+CORE_SAMPLES, MOST_SAMPLES = 64, 4096
 """Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
 
-FEW_SAMPLES = 16, 128
+FEW_SAMPLES = 4, 128
 """Of other lights there, at least and at most; four for each of `Settings.samples`."""
 
 ROWS = 16
@@ -86,7 +86,7 @@ class AroundLightsPicture:
         """Sample all of them; arguments as in `SeenPicture`."""
         by, settings, layer = self._by, self._settings, self._layer
         x0, y0 = self._region[:2]
-        close = int(np.clip(CORE_SAMPLES * settings.samples, 2 * CORE_SAMPLES, MOST_SAMPLES))
+        close = min(CORE_SAMPLES * settings.samples, MOST_SAMPLES)
         few = int(np.clip(4 * settings.samples, *FEW_SAMPLES))
         work = [
             (integrand, block, block.core == core, n)

@@ -421,8 +421,8 @@ class _Render:
     def _more_at_edges(self, pool: Executor) -> str | None:
         """More samples where neighbours see different things; returns why they were stopped, if they were.
 
-        Lights without size, all of them sampled, leave the pixel alone to be integrated; and near such a light,
-        or across its shadow's edge, a pixel in a hundred holds all of the error.
+        Lights without size, all of them sampled, leave the pixel alone to be integrated; and near such a
+        light, or across its shadow's edge, a pixel in a hundred holds all of the error.
         """
         settings, film, integrand = self._settings, self._surface, self._integrand
         exact = integrand.samples_every or (integrand.only_points and len(integrand.lights) == 1)
@@ -448,13 +448,13 @@ class _Render:
         def add(many: int, rows: np.ndarray) -> None:
             self._check()
             row, column = np.divmod(rows, film.depth.shape[1])
-            pixels = Pixels((column + x0).astype(np.int32), (row + y0).astype(np.int32), np.zeros(len(rows), np.int32))
+            pixels = Pixels(
+                (column + x0).astype(np.int32), (row + y0).astype(np.int32), np.zeros(len(rows), np.int32)
+            )
             choice = integrand.choice_of_cells(*np.zeros((2, 1), np.intp), self._check)
             over = DirectLightOverTile(integrand, choice, self._check)
             start, count = self._samples, self._samples * (many - 1)
-            sums = sum_samples(
-                over, pixels, pixels.key(), self._points, start, count, 1, settings.batch_size
-            )
+            sums = sum_samples(over, pixels, pixels.key(), self._points, start, count, 1, settings.batch_size)
             mean = np.minimum(sums.values / count, LARGEST)
             for kept, new in ((film.combined, mean[:4]), (film.normal, mean[4:7])):
                 if len(new):

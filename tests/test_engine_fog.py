@@ -233,7 +233,7 @@ def _dense(integrand: ScatteredAlongRay, rays, count: int) -> np.ndarray:
     segments = FogSegments.of(rays, None, integrand._scattering.media)
     total = np.zeros((3, len(rays)))
     s = (np.arange(count) + 0.5) / count
-    for _, lanes in integrand._lanes(segments):
+    for _, lanes in integrand._lanes(segments, integrand._bare):
         part = 0.0
         for some in np.array_split(s, max(1, count * len(lanes) // 200_000)):
             values = lanes.smooth(some[:, None]) * integrand._seen(lanes, some[:, None])

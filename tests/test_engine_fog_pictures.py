@@ -218,3 +218,21 @@ def test_one_net_for_all_is_unbiased_over_seeds():
         assert (np.abs(each[:, 0].mean(axis=0) - 1) < 4.5 * error + 1e-6).all()
         # Alike at all bins, or not.
         assert (np.ptp(each[:, 0], axis=1).max() < 1e-6) == fixed
+
+
+def test_more_lights_than_are_weighed_light_fog():
+    """Clusters are found while the render is set up."""
+    lights = [PointLight(power=10.0, position=(0.1 * i - 2, 0, 2)) for i in range(40)]
+    film = render(scene(*lights), Settings(samples=1, threads=1))
+    assert np.isfinite(film.combined).all() and film.volume.mean() > 0
+
+
+def test_pixels_where_neighbours_differ_get_more_samples():
+    """Of surfaces lit by points alone; the mean stays the truth."""
+    lit = scene(PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE), reflectance=0.6)
+    truth = render(lit, Settings(samples=256, seed=99)).layers[0].radiance[..., :3].mean(dtype=float)
+    films = [render(lit, Settings(samples=1, seed=seed)) for seed in range(16)]
+    counts = films[0].layers[0].sample_count
+    assert counts.min() == 1 and 1.1 * counts.size < counts.sum() < 1.4 * counts.size
+    means = np.array([film.layers[0].radiance[..., :3].mean(dtype=float) for film in films])
+    assert abs(means.mean() - truth) < 4 * means.std(ddof=1) / 4 + 1e-3 * truth

@@ -93,9 +93,10 @@ def blocks(
 class Tamed:
     """What polynomials need not follow: light next to where it comes from.
 
-    nearest, whole : (L,) distances of rays to lights, in the frame's units. Nodes take a ray to pass no nearer
-        than the first, which pixels do that are not of a block; of a spot that begins as a narrow beam they see
-        nothing there, and all of it from the second on. Both are 0 of a light that is not in the picture.
+    nearest, whole : (L,) distances of rays to lights, in the frame's units. Nodes take a ray to pass no
+        nearer than the first, which pixels do that are not of a block; of a spot that begins as a narrow beam
+        they see nothing there, and all of it from the second on. Both are 0 of a light that is not in the
+        picture.
     beams : (W, H) bool, pixels of the beams from there to there.
     """
 
@@ -153,9 +154,14 @@ def _lit_around(rays: CameraRays, cones: AirLights, light: int, centre: np.ndarr
     if not cones.coned[light]:
         return np.ones(AROUND, bool)
     angle = (np.arange(AROUND) + 0.5) * (2 * np.pi / AROUND)
-    origin, direction = rays.exactly(*(centre[:, None] + HALF_WIDTH * np.stack([np.cos(angle), np.sin(angle)])))
+    origin, direction = rays.exactly(
+        *(centre[:, None] + HALF_WIDTH * np.stack([np.cos(angle), np.sin(angle)]))
+    )
     direction = direction / np.sqrt(dot(direction, direction))
-    cone = (np.repeat(x[..., light, None].astype(np.float64), AROUND, axis=-1) for x in (cones.apex, cones.axis, cones.cos))
+    cone = (
+        np.repeat(x[..., light, None].astype(np.float64), AROUND, axis=-1)
+        for x in (cones.apex, cones.axis, cones.cos)
+    )
     first, last = in_cone(*cone, origin, direction)
     return last > np.maximum(first, 0)
 

@@ -100,7 +100,8 @@ class DirectLight:
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
     rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
     only_points : no light has a size, and no fog glows.
-    samples_every : no light is chosen: a hit gets one sample of each. channels, transparent, sees : as in `CameraStage`.
+    samples_every : no light is chosen: a hit gets one sample of each. channels, transparent,
+        sees : as in `CameraStage`.
     media : the fogs of the scene, None for none.
     frame, shader, surfaces, stage, shadows : what else it is made of.
     reflects : whether light off any surface may be seen. shows : whether anything but depth may be.

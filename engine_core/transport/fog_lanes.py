@@ -56,8 +56,8 @@ class BareLights:
     kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
     cone's angle, and 1 over the width of its edge in cosines. state : (L,) uint64, which fogs it is in.
-    nearest, whole : (L,) distance to the light at which a ray is taken to pass at least, and from which on it sees
-        all of a spot's light (`around_light.Tamed`); 0 but for nodes.
+    nearest, whole : (L,) distance to the light at which a ray is taken to pass at least, and from which on it
+        sees all of a spot's light (`around_light.Tamed`); 0 but for nodes.
     """
 
     position: np.ndarray
@@ -98,7 +98,9 @@ class BareLights:
             origins = np.ascontiguousarray(position.T, np.float32)
             state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
         casts = scene.casts_shadow[number]
-        return BareLights(position, strength, kind, casts, axes, below, sharpness, state, *np.zeros((2, count)))
+        return BareLights(
+            position, strength, kind, casts, axes, below, sharpness, state, *np.zeros((2, count))
+        )
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -275,6 +277,7 @@ class AboutPoints(Lanes):
             at_foot, along = flat(at_foot), flat(along)
             begins, ends = _within_cones(at_foot, along, below - 1 / sharpness, low, high)
             inner = [np.where(ends > begins, x, low) for x in (begins, ends)]
+        distance = np.maximum(distance, np.maximum(_NEAREST * np.maximum(-low, high), _TINY))
         m0, p0 = _ends(low, distance)
         m1, p1 = _ends(high, distance)
         step = np.where(low > 0, p0 - p1, m1 - m0)
@@ -503,10 +506,12 @@ def _reached(low, high, distance, sigma, closed) -> np.ndarray:
 def _within_cones(
     at_foot: np.ndarray, along: np.ndarray, below: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where, between ``low`` and ``high`` (...), lines are in cones about z; never if the second
+    """From where to where, between ``low`` and ``high`` (...), lines are in cones about z; never if the
+    second
     is not above the first.
 
-    at_foot, along : (3, ...) of lines, in the lights' own spaces. below : 1 - cosine of half the cone's angle.
+    at_foot, along : (3, ...) of lines, in the lights' own spaces. below : 1 - cosine of half the cone's
+    angle.
 
     A place is on the cone where z^2 = cos^2 |v|^2, with v the vector from the light and z along its axis,
     which is quadratic in x. A cone of at most a half space is convex: what is in it is in one piece.

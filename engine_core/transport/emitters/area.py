@@ -17,7 +17,8 @@ from .bounds import Bounds
 from .spherical import SphericalEllipse, SphericalRectangle
 
 # A rectangle nearer than its length over the root of this is sampled by solid angle; for others area will do.
-_SMALL = np.float32(0.3)
+# Where one map ends and the other begins is an edge in primary space, the fainter the smaller the light.
+_SMALL = np.float32(0.02)
 
 # An ellipse nearer than this many times its length: its map costs more.
 _ELLIPSE_NEAR = np.float32(0.7)

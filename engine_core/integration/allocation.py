@@ -7,6 +7,8 @@ the samples that it directs: so the estimate stays unbiased.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 
 from .standard_error import box_sums
@@ -18,34 +20,53 @@ whole picture, weigh beside them."""
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a bin whatever the nodes say of it."""
 
+STRIP = 64
+"""Bins along the first dimension that are looked at together: with those around, what the cache holds."""
+
 _OCTAVE = 64
 """Steps an octave in which the scale of a budget is sought."""
+
+Map = Callable[[Callable, Iterable], list]
 
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 
 
-def learned_deviation(square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+def learned_deviation(
+    square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray, map_: Map | None = None
+) -> np.ndarray:
     """(*bins) deviation of a sample: what the nodes predicted, as right as it was in the neighbourhood.
 
     square : (*bins) f - h squared of a sample in each bin of a pilot. pilot : (*bins) bool, which those are.
     predicted : (*bins) the nodes' deviation. A bin's own sample has no say, so that it may be kept.
+    map_ : runs a function over items on workers; None to do it here.
     """
     variance = np.square(predicted)
     variance += 1e-4 * variance.mean() + 1e-300
     found, said = np.where(pilot, square, 0), np.where(pilot, variance, 0)
+    all_found, all_said, margin = found.sum(), said.sum(), NEIGHBOURHOODS[0][0]
+    out = np.empty(variance.shape)
 
-    def around(values: np.ndarray, reach: int) -> np.ndarray:
-        return np.maximum(box_sums(values[None], reach)[0] - values, 0)
+    def learn(low: int) -> None:
+        """Of a strip, which the cache holds, by what lies around it."""
+        first, last = max(0, low - margin), low + STRIP + margin
+        pilot_, found_, said_, variance_ = (a[first:last] for a in (pilot, found, said, variance))
+        values = np.stack([pilot_, found_, said_])
+        ratio, mean = all_found / max(all_said, 1e-300), all_found / max(pilot.sum(), 1)
+        for reach, faith in NEIGHBOURHOODS:
+            count, seen, hoped = np.maximum(box_sums(values, reach) - values, 0)
+            prior = faith * np.where(count > 0, hoped / np.maximum(count, 1), variance_)
+            ratio = (seen + prior * ratio) / (hoped + prior)
+            mean = (seen + faith * mean) / (count + faith)
+        here = slice(low - first, low - first + STRIP)
+        out[low : low + STRIP] = np.sqrt(variance_ * ratio + PLACE * mean)[here]
 
-    ratio = found.sum() / max(said.sum(), 1e-300)
-    mean = found.sum() / max(pilot.sum(), 1)
-    for reach, faith in NEIGHBOURHOODS:
-        count = around(pilot.astype(float), reach)
-        seen, hoped = around(found, reach), around(said, reach)
-        prior = faith * np.where(count > 0, hoped / np.maximum(count, 1), variance)
-        ratio = (seen + prior * ratio) / (hoped + prior)
-        mean = (seen + faith * mean) / (count + faith)
-    return np.sqrt(variance * ratio + PLACE * mean)
+    strips = range(0, len(out), STRIP)
+    if map_ is None:
+        for low in strips:
+            learn(low)
+    else:
+        map_(learn, strips)
+    return out
 
 
 def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray:

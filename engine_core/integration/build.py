@@ -77,7 +77,7 @@ class NodeEvaluator:
                 "dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)]
             )
             order = np.argsort(key, kind="stable")
-            place = place[:, order]
+            place = place.take(order, axis=1)
         step = max(1, BATCH // self.cost)
         parts = [place[:, low : low + step] for low in range(0, place.shape[1], step)]
         results = self._map(self._evaluate, parts)
@@ -85,9 +85,10 @@ class NodeEvaluator:
         spread = np.concatenate([r[1] for r in results], axis=-1) if self._inner else None
         self.evaluations += sum(r[2] for r in results)
         if order is not None:
-            values[:, order] = values.copy()
-            if spread is not None:
-                spread[..., order] = spread.copy()
+            back = np.empty_like(order)
+            back[order] = np.arange(len(order))
+            values = values.take(back, axis=-1)
+            spread = None if spread is None else spread.take(back, axis=-1)
         return values, spread
 
     def _evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, int]:
@@ -96,7 +97,7 @@ class NodeEvaluator:
         if self._integrand.staged and self._covered > k:
             first = np.flatnonzero(np.append(True, (np.diff(screen, axis=1) != 0).any(axis=0)))
             lanes = np.repeat(np.arange(len(first)), np.diff(np.append(first, place.shape[1])))
-            screen = screen[:, first]
+            screen = screen.take(first, axis=1)
         cell = np.minimum(screen >> BIN, np.array(self._bins)[:, None] - 1)
         u = np.ldexp((screen - (cell << BIN)).astype(np.float64), -BIN)
         stage = self._integrand.first(self._bins_at(cell), u[:, :, None])

@@ -91,7 +91,7 @@ class ControlVariates:
         rough = None if self.rough is None else np.asarray(self.rough, bool)
         helps = log_edge is not None and not (rough is not None and rough.all())
         if helps:
-            tree = RegionTree(bins, covered, log_edge, evaluator, self.split == 1, rough)
+            tree = RegionTree(bins, covered, log_edge, evaluator, self.split == 1, rough, problem.pool.map)
             helps = grow(tree, evaluator, budget, total, self.max_regions) or not self.residual
         if not helps:
             if not self.residual:

@@ -9,7 +9,7 @@ evaluated twice, whether a region, its child or its neighbour asks for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +46,11 @@ variate's value, never the estimate."""
 _EMPTY = np.uint64(1)
 """The key at a free place of the store's table. A node of this key reads another's value: see above."""
 
+PIECE = 1 << 16
+"""Nodes of the regions that a worker takes at once: what fits the cache."""
+
+Map = Callable[[Callable, Iterable], list]
+
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 """place (m, N) int64 -> values (C, N), and the spread (N,) of the dimensions inside the nodes."""
 
@@ -72,7 +77,7 @@ class NodeStore:
             # Of equal keys the one whose number is left is evaluated, in the order they were asked for.
             self._slots[at[unseen]] = number = np.arange(unseen.size, dtype=np.int32)
             new = unseen[self._slots.take(at[unseen]) == number]
-            values, spread = self._evaluate(place[:, new])
+            values, spread = self._evaluate(place.take(new, axis=1))
             self._slots[at[new]] = np.arange(self.count, self.count + new.size, dtype=np.int32)
             self._append(values, spread)
         return self._slots.take(at)
@@ -264,14 +269,17 @@ class RegionTree:
         evaluate: Evaluate,
         within_bins: bool = True,
         without: np.ndarray | None = None,
+        map_: Map | None = None,
     ) -> None:
         """dimensions : m, the bins' and those after them. log_edge : roots are 2^log_edge bins long.
 
         within_bins : whether regions may be shorter than a bin. without : (*bins) bool, bins of no region.
+        map_ : runs a function over items on workers, and returns the results in order; None to do it here.
         """
         self.bins = bins
         self.dimensions = m = dimensions
         self.store = NodeStore(evaluate)
+        self._map = map_ or (lambda function, items: [function(item) for item in items])
         self.splits = self.sweeps = 0
         self._keys = NODE_KEYS[:m]
         self._smallest = np.full(m, SMALLEST)
@@ -299,7 +307,12 @@ class RegionTree:
         place = start[:, :, None] + (offset[:, None, :] << (size.astype(np.int64)[:, :, None] - 1))
         place = place.reshape(m, -1)
         self.regions.nodes[:] = self.store.slots(place, self._key(place)).reshape(count, -1)
-        self._judge(slice(0, count))
+        self._map(self._judge, self._pieces(np.arange(count)))
+
+    def _pieces(self, numbers: np.ndarray) -> list[np.ndarray]:
+        """Regions (n,) cut into pieces for the workers; none of none."""
+        step = max(1, PIECE // 3**self.dimensions)
+        return [numbers[low : low + step] for low in range(0, len(numbers), step)]
 
     def _key(self, place: np.ndarray) -> np.ndarray:
         return np.einsum("dn,d->n", place.astype(np.uint64), self._keys)
@@ -325,15 +338,15 @@ class RegionTree:
         if chosen.size == 0:
             return 0
         self._reserve(self._count + chosen.size)
-        first_new = self._count
-        parts = [(d, chosen[axis == d]) for d in range(self.dimensions)]
-        place = np.concatenate([self._between(part, d) for d, part in parts], axis=1)
-        slots = self.store.slots(place, self._key(place)).reshape(chosen.size, -1)
-        for d, part in parts:
-            self._halve(part, d, slots[: len(part)])
-            slots = slots[len(part) :]
-        self._judge(chosen)
-        self._judge(slice(first_new, self._count))
+        parts = [(d, some) for d in range(self.dimensions) for some in self._pieces(chosen[axis == d])]
+        wanted = self._map(self._between, parts)
+        place = np.concatenate([place for place, _ in wanted], axis=1)
+        slots = self.store.slots(place, np.concatenate([keys for _, keys in wanted]))
+        sizes = [len(some) for _, some in parts]
+        ends = np.cumsum(sizes)
+        nodes = np.split(slots.reshape(chosen.size, -1), ends[:-1])
+        self._map(self._halve, list(zip(parts, nodes, self._count + ends - sizes, strict=True)))
+        self._count += chosen.size
         self.splits += chosen.size
         self.sweeps += 1
         return int(chosen.size)
@@ -381,8 +394,12 @@ class RegionTree:
             grown(r.surprise, 1),
         )
 
-    def _between(self, chosen: np.ndarray, d: int) -> np.ndarray:
-        """(m, n * 2 * faces) where halving n regions in dimension d wants nodes: 3 along d become 5."""
+    def _between(self, part: tuple[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Where halving regions (n,) in dimension d wants nodes, 3 along d becoming 5; and their keys.
+
+        part : d and the regions. Returns (m, n * 2 * faces) and (n * 2 * faces,).
+        """
+        d, chosen = part
         r, m = self.regions, self.dimensions
         count, faces = len(chosen), 3 ** (m - 1)
         offset = np.indices((3,) * (m - 1)).reshape(m - 1, faces)
@@ -393,13 +410,16 @@ class RegionTree:
             place[i] = (start[i][:, None] + (offset[row] << (log[i][:, None] - 1)))[:, None, :]
         quarters = np.array([1, 3]) << (log[d][:, None] - 2)
         place[d] = (start[d][:, None] + quarters)[:, :, None]
-        return place.reshape(m, -1)
+        place = place.reshape(m, -1)
+        return place, self._key(place)
 
-    def _halve(self, chosen: np.ndarray, d: int, new: np.ndarray) -> None:
-        """Halve n regions in dimension d: the lower halves take their place, the upper ones are appended.
+    def _halve(self, work: tuple[tuple[int, np.ndarray], np.ndarray, int]) -> None:
+        """Halve n regions in dimension d: the lower halves take their place, the upper ones go elsewhere.
 
-        new : (n, 2 * faces) slots of the nodes in `_between`.
+        work : d and the regions, (n, 2 * faces) slots of the nodes in `_between`, and where the upper halves
+            begin.
         """
+        (d, chosen), new, above = work
         r, m = self.regions, self.dimensions
         count, faces = len(chosen), 3 ** (m - 1)
         new = new.reshape(count, 2, faces)
@@ -409,7 +429,7 @@ class RegionTree:
         def back(nodes: np.ndarray) -> np.ndarray:
             return np.moveaxis(nodes.reshape(count, 3, *(3,) * (m - 1)), 1, 1 + d).reshape(count, 3**m)
 
-        upper = slice(self._count, self._count + count)
+        upper = slice(above, above + count)
         r.surprise[:, upper] = r.surprise[:, chosen]
         r.surprise[d, chosen], r.surprise[d, upper] = self._surprises(old, new)
         r.size[d, chosen] -= 1
@@ -420,7 +440,8 @@ class RegionTree:
         r.size[:, upper] = r.size[:, chosen]
         r.volume[upper] = r.volume[chosen]
         r.nodes[upper] = back(line[:, 2:])
-        self._count += count
+        self._judge(chosen)
+        self._judge(np.arange(above, above + count))
 
     def _surprises(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
         """(2, n) mean distance of new nodes (n, 2, faces) from the quadratics through (n, 3, faces)."""
@@ -433,26 +454,24 @@ class RegionTree:
                 out[side] += weighted(np.abs(channel.take(new[:, side]) - said), weights)
         return out
 
-    def _judge(self, part: slice | np.ndarray) -> None:
-        """Nested errors of some regions, in slices that bound the memory."""
-        index = np.arange(self._count)[part]
-        step = max(1, (1 << 18) // 3**self.dimensions)
-        for low in range(0, len(index), step):
-            some = index[low : low + step]
-            errors = nested_errors(self.store.values, self.regions.nodes[some], self.dimensions)
-            surprise = self.regions.surprise[:, some]
-            # A ratio, so that a power of two in the integrand is the same one here, to the last bit.
-            less = surprise < errors
-            errors[less] *= (surprise[less] / errors[less]) ** TRUST
-            self.regions.density[some] = errors.max(axis=0)
-            errors[self.regions.size[:, some] <= self._smallest[:, None]] = 0
-            self.regions.axis[some] = errors.argmax(axis=0)
-            self.regions.gain[some] = errors.max(axis=0)
-            edge = np.ldexp(1.0, self.regions.size[:, some].astype(np.int64)) / self._full[:, None]
-            edge[self.regions.size[:, some] <= self._smallest[:, None]] = 0
-            longest = edge.max(axis=0)
-            worst = np.where(edge == longest, errors, -1).argmax(axis=0)
-            self.regions.longest[some] = np.where(longest > 0, worst, -1)
+    def _judge(self, some: np.ndarray) -> None:
+        """Nested errors of some regions (n,), few enough for the memory."""
+        r = self.regions
+        errors = nested_errors(self.store.values, r.nodes[some], self.dimensions)
+        surprise = r.surprise[:, some]
+        # A ratio, so that a power of two in the integrand is the same one here, to the last bit.
+        less = surprise < errors
+        errors[less] *= (surprise[less] / errors[less]) ** TRUST
+        r.density[some] = errors.max(axis=0)
+        final = r.size[:, some] <= self._smallest[:, None]
+        errors[final] = 0
+        r.axis[some] = errors.argmax(axis=0)
+        r.gain[some] = errors.max(axis=0)
+        edge = np.ldexp(1.0, r.size[:, some].astype(np.int64)) / self._full[:, None]
+        edge[final] = 0
+        longest = edge.max(axis=0)
+        worst = np.where(edge == longest, errors, -1).argmax(axis=0)
+        r.longest[some] = np.where(longest > 0, worst, -1)
 
 
 def nested_errors(values: np.ndarray, nodes: np.ndarray, m: int) -> np.ndarray:

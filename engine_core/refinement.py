@@ -106,7 +106,7 @@ class ControlVariatePicture:
         log_edge = root_edge(bins, self.covered, budget / evaluator.cost)
         if log_edge is None:
             return False
-        tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False)
+        tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False, map_=map_)
         self._see(map_)
         try:
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
@@ -147,9 +147,6 @@ class ControlVariatePicture:
         self._error = np.zeros(self._bins)
         self._plain = np.zeros(self._bins, bool)
         map_(self._integrate, range(len(self._variate)))
-        shown = self._first + self._mean
-        self._write(slice(None), slice(None), shown)
-        self._film.control_variate[:] = np.clip(shown, -LARGEST, LARGEST).transpose(2, 1, 0)
         self._film.combined[..., ALPHA] = 1
 
     def _pixels(self, index: np.ndarray) -> Pixels:
@@ -158,38 +155,48 @@ class ControlVariatePicture:
 
     def _integrate(self, number: int) -> None:
         self._check()
-        tile = self._variate.tile(number)
-        where = tuple(tile.index)
-        mean, self._error[where], unexplained = tile.means(self._variate.spread)
-        self._mean[(slice(None), *where)], self._plain[where] = mean, unexplained > BEYOND_HOPE
+        tile, (x, y) = self._variate.tile(number), self._part(number)
+        mean, error, unexplained = tile.means(self._variate.spread)
+        self._mean[:, x, y] = mean.reshape(CHANNELS, *tile.shape)
+        self._error[x, y] = error.reshape(tile.shape)
+        self._plain[x, y] = unexplained.reshape(tile.shape) > BEYOND_HOPE
+        shown = self._first[:, x, y] + self._mean[:, x, y]
+        self._write(x, y, shown)
+        self._film.control_variate[y, x] = np.clip(shown, -LARGEST, LARGEST).T
 
     def _allocate(self, map_: Map) -> None:
         """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
         settings, bins = self._settings, self._bins
-        twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed).reshape(bins)
+        # Only to know the error is any pixel sampled twice.
+        twice = np.zeros(bins, bool)
+        if settings.standard_error:
+            twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed).reshape(bins)
         pilot = twice | evenly_spread(bins, PILOT_ONE_IN, settings.seed)
         # Alpha and normals are known from samples alone.
         self._every = self._direct_light.transparent or settings.normals
         pilot |= self._every
-        approximate = self._mean.copy()
-        # H stays on show until their samples are there.
-        self._mean[:, self._plain] = 0
         self._twice, self._chance = twice, np.ones(bins)
         self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
         for group in self._points:
             group.prepare(1)
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
-        self._spread = Spread.empty(CHANNELS, self._error.size)
+        self._spread = Spread.empty(CHANNELS, self._error.size) if settings.standard_error else None
         self._residual = np.zeros((CHANNELS, self._error.size))
         self._have = pilot.astype(np.int64)
+        square = np.zeros(bins)
 
         def sample_pilot(number: int) -> None:
-            one = self._have[self._part(number)].ravel()
+            x, y = part = self._part(number)
+            one = self._have[part].ravel()
             self._sample(number, np.zeros_like(one), one)
+            # H stays on show where f itself is sampled, until the samples are there.
+            mean, residual = (a.reshape(self._mean.shape)[:, x, y] for a in (self._mean, self._residual))
+            approximate = np.where(self._plain[part], mean, 0)
+            mean -= approximate
+            square[part] = np.square(np.abs(residual - approximate).sum(axis=0))
 
         map_(sample_pilot, range(len(self)))
-        found = self._mean + self._residual.reshape(self._mean.shape) - approximate
-        self._deviation = error = learned_deviation(np.abs(found).sum(axis=0) ** 2, pilot, self._error)
+        self._deviation = error = learned_deviation(square, pilot, self._error, map_)
         due, chance = sample_counts(error.ravel(), self._left / (1 + twice.mean()), DEFENSIVE, CHANCE)
         due, chance = np.minimum(due, MOST).reshape(bins), chance.reshape(bins)
         if settings.noise_threshold:
@@ -246,7 +253,8 @@ class ControlVariatePicture:
         film, h = self._film, self._first[:, x, y] + self._mean[:, x, y]
         residual = self._residual.reshape(self._mean.shape)[:, x, y]
         self._write(x, y, h + residual)
-        film.control_variate[y, x] = np.clip(h, -LARGEST, LARGEST).T
+        if self._plain[part].any():
+            film.control_variate[y, x] = np.clip(h, -LARGEST, LARGEST).T
         film.residual[y, x] = np.clip(residual, -LARGEST, LARGEST).T
         film.sample_count[y, x] = (self._count(part, pass_) * (1 + self._twice[part])).T
         self._reached = pass_
@@ -254,10 +262,11 @@ class ControlVariatePicture:
     def _measure_depth(self, number: int) -> None:
         """Of pixels that are never sampled, in their middle."""
         x0, y0, x1, y1 = self.box(number)
-        index = np.stack(np.nonzero(self._due[x0:x1, y0:y1] == 0)) + np.array([[x0], [y0]])
-        middle = np.full((2, index.shape[1], 1), 0.5, np.float32)
-        hits = self.integrand.first(self._pixels(index), middle)
-        self._film.depth[index[1], index[0]] = np.minimum(hits.depth, FAR)
+        x, y = np.nonzero(self._due[x0:x1, y0:y1] == 0)
+        x, y = x + x0, y + y0
+        depth = self._direct_light.depth(x + self._corner[0], y + self._corner[1])
+        self._film.depth[y, x] = np.minimum(depth, FAR)
+        self.integrand.count_rays(len(x))
 
     def _sample(
         self,
@@ -284,10 +293,13 @@ class ControlVariatePicture:
                     np.add.at(row, some, values)
             done(len(hits.depth))
 
-        # The picture's arrays, and this tile's part of them.
-        ours = (self._residual, self._spread.half, self._spread.twice)
-        ours = [a.reshape(-1, *self._bins)[:, x, y] for a in ours]
-        residual, half, apart = (a.reshape(CHANNELS, -1) for a in ours)
+        def of_tile(picture: np.ndarray) -> np.ndarray:
+            """The tile's part of a picture's array (C, all pixels)."""
+            return picture.reshape(-1, *self._bins)[:, x, y]
+
+        of_picture, spread = self._spread, None
+        if of_picture is not None:
+            spread = Spread(*(of_tile(a).reshape(CHANNELS, -1) for a in (of_picture.half, of_picture.twice)))
         mean, spread = self._sampler.sample(
             self.integrand,
             pixels,
@@ -301,10 +313,12 @@ class ControlVariatePicture:
             after_batch,
             self._plain[part].ravel(),
             have,
-            (residual, Spread(half, apart)),
+            (of_tile(self._residual).reshape(CHANNELS, -1), spread),
         )
-        for old, now in zip(ours, (mean, spread.half, spread.twice), strict=True):
-            old[:] = now.reshape(old.shape)
+        of_tile(self._residual)[:] = mean.reshape(CHANNELS, *tile.shape)
+        if of_picture is not None:
+            for old, now in ((of_picture.half, spread.half), (of_picture.twice, spread.twice)):
+                of_tile(old)[:] = now.reshape(CHANNELS, *tile.shape)
         film.depth[y, x] = depth.reshape(tile.shape).T
         if self._every:
             # Alpha and normals are means over samples: those before, and the new ones.

@@ -377,17 +377,13 @@ class _Render:
 
     def _look_for_depth(self, pool: Executor) -> str:
         """All that there is to see of black surfaces: how far they are, in the middle of each pixel."""
-        rays, surfaces = self._integrand.stage.rays, self._integrand.surfaces
         (x0, y0, x1, y1), film = self._camera.region, self._surface
-        unscale = np.float32(1 / self._integrand.frame.scale)
 
         def look(low: int) -> None:
             self._check()
             y, x = (a.ravel() for a in np.mgrid[low : min(low + DEPTH_ROWS, y1), x0:x1])
-            middle = np.full((rays.dimensions, len(x), 1), 0.5, np.float32)
-            distance = surfaces.distance(*rays.rays(x, y, middle), rays.reach)
-            depth = np.where(distance < rays.reach, (distance + np.float32(rays.clip_start)) * unscale, FAR)
-            film.depth[low - y0 : low - y0 + DEPTH_ROWS] = np.minimum(depth, FAR).reshape(-1, x1 - x0)
+            depth = np.minimum(self._integrand.depth(x, y), FAR)
+            film.depth[low - y0 : low - y0 + DEPTH_ROWS] = depth.reshape(-1, x1 - x0)
 
         outcome, ended = self._drive(
             pool, lambda map_, _: map_(look, range(y0, y1, DEPTH_ROWS)), "Looking for depth"

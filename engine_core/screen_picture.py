@@ -76,9 +76,6 @@ OUTLINE_OF_SHADOW = 0.03
 FAITH = 0.5
 """How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
 
-OUTLINE_SAMPLES = 8
-"""Of f itself where no polynomial is, at least."""
-
 OUTLINE_WEIGHT = 2.0
 """Of their deviation: across an edge the error of a net falls faster than by the root of its points."""
 
@@ -115,6 +112,7 @@ class ScreenPicture:
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
         self._elsewhere, self._fresh, self._visible = by.elsewhere, by.fresh, by.visible
+        self._at_outlines = by.at_outlines
         self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
         if by.alone is by.sampled:
             self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
@@ -283,13 +281,13 @@ class ScreenPicture:
         self._alone_points = staged_points(
             "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
         )
-        self._prepare(OUTLINE_SAMPLES)
+        self._prepare(self._at_outlines)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
         pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
         self._count = np.zeros((height, width), np.int32)
         self._count.reshape(-1)[pilot] = 1
-        self._count.reshape(-1)[alone] = OUTLINE_SAMPLES
+        self._count.reshape(-1)[alone] = self._at_outlines
         found = np.zeros(height * width)  # squares, which float32 would not hold of what is brightest
 
         def few(chunk: tuple[int, np.ndarray]) -> None:
@@ -304,7 +302,7 @@ class ScreenPicture:
 
         chunks = [
             (n, part)
-            for n, which in ((OUTLINE_SAMPLES, alone), (1, pilot))
+            for n, which in ((self._at_outlines, alone), (1, pilot))
             for part in self._chunks(which, n)
         ]
         map_(few, chunks)
@@ -347,7 +345,7 @@ class ScreenPicture:
             ).of_samples()
         # Where a sample is cheaper, or brings more, more of them are worth it.
         weight = OUTLINE_WEIGHT * np.sqrt(self._cost / self._alone_cost)
-        budget = self._left - len(pilot) * self._cost - len(alone) * OUTLINE_SAMPLES * self._alone_cost
+        budget = self._left - len(pilot) * self._cost - len(alone) * self._at_outlines * self._alone_cost
         of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
         of_served = float(deviation.sum(dtype=np.float64)) - of_alone
         wanted = deviation.ravel()

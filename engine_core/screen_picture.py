@@ -70,8 +70,8 @@ PLACE = 1 / 64
 PEAK = 4.0
 """How many times as large a single speck may be, as far as samples nearby tell."""
 
-OUTLINE_OF_SHADOW = 0.03
-"""Deviation of a sample, of the radiance, in regions that a shadow's outline crosses."""
+OUTLINE_OF_SHADOW = 0.06
+"""Deviation of a sample, of the radiance, within `NEAR` pixels of regions that a shadow's outline crosses."""
 
 FAITH = 0.5
 """How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
@@ -172,6 +172,7 @@ class ScreenPicture:
         self._region = np.full((height, width), -1, np.int32)
         self._residual = np.zeros_like(self._mean)
         self._deviation = self._inside = np.zeros(0, np.float32)
+        self._crossed = np.zeros(0, bool)
         if self._tree is None:
             return
         tree = self._tree
@@ -181,14 +182,13 @@ class ScreenPicture:
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
-        inside = np.zeros(len(leaves))
+        inside, self._crossed = np.zeros(len(leaves)), np.zeros(len(leaves), bool)
         if tree.store.spread is not None:
             spread, *edges = np.atleast_2d(tree.store.spread)
             inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
             for of_nodes in (e.take(leaves.nodes) for e in edges):
                 # Where some see a shadow's edge and others do not, there is its outline, steep as a root.
-                mixed = of_nodes.min(axis=1) < of_nodes.max(axis=1)
-                inside = np.hypot(inside, OUTLINE_OF_SHADOW * mixed * first.sum(axis=1))
+                self._crossed |= of_nodes.min(axis=1) < of_nodes.max(axis=1)
         variance = np.maximum(np.einsum("rnc,n->rc", coefficients**2, weights) - first**2, 0)
         # One pixel's own variance can't be told from its noise: only where regions are no longer halved.
         hopeless = leaves.density**2 > BEYOND_HOPE * np.sqrt(variance).sum(axis=1) ** 2
@@ -309,6 +309,7 @@ class ScreenPicture:
         # Of each region, and of none.
         of_region, inside = (np.append(a, np.float32(0)) for a in (self._deviation, self._inside))
         said = of_region.take(self._region, mode="wrap")
+        of_shadow = _within(np.append(self._crossed, False).take(self._region, mode="wrap"), NEAR)
         learned = Learned.of(found[pilot], pilot, said, float(self._mean.mean()) * CHANNELS)
         chance = np.empty((height, width), np.float32)
         deviation = np.empty((height, width), np.float32)
@@ -322,11 +323,12 @@ class ScreenPicture:
             """Deviations, and the least chances, of some rows of pixels."""
             here = self._region[rows]
             # What a node says of its own noise is known: few samples would miss what is rare in it.
-            own = inside.take(here, mode="wrap")
-            deviation[rows] = learned.deviation(said[rows], rows, own)
-            # What is sampled by chance is noisier by it: only where none sees that, whatever it costs.
             bright = self._mean[rows].sum(axis=2)
             np.maximum(bright, 0, out=bright)
+            own = np.square(inside.take(here, mode="wrap"))
+            own += np.square(OUTLINE_OF_SHADOW * bright) * of_shadow[rows]
+            deviation[rows] = learned.deviation(said[rows], rows, own)
+            # What is sampled by chance is noisier by it: only where none sees that, whatever it costs.
             bright += np.float32(dim)
             bright *= np.float32(allowed)
             least = np.square(deviation[rows] / bright)
@@ -521,14 +523,14 @@ class Learned:
     def deviation(self, said: np.ndarray, rows: slice, further: np.ndarray) -> np.ndarray:
         """(h, W) float32 of pixels in some rows, the first of a block's.
 
-        said : (h, W) the nodes'. further : (h, W) deviation that is known for sure.
+        said : (h, W) the nodes'. further : (h, W) variance that is known for sure.
         """
         ratio, mean = (_of_pixels(a, rows, said.shape[1]) for a in self._of_blocks)
         square = np.square(said, dtype=np.float64)
         square += self._floor
         square *= ratio
         square += mean
-        square += np.square(further, dtype=np.float64)
+        square += further
         return np.sqrt(square, out=square)
 
     def of_samples(self, further: float | np.ndarray = 0.0) -> np.ndarray:

@@ -8,10 +8,11 @@ it finds would decide whether it counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 
+from .integration.mapping import Map
 from .integration.point_sets import SobolPoints
 from .transport.direct_light import RGB, DirectLightOverTile, Pixels
 
@@ -35,7 +36,7 @@ class DirectlySeen:
         pixels_at: Callable[[np.ndarray], Pixels],
         seed: int,
         batch: int,
-        map_: Callable[[Callable, Iterable], list],
+        map_: Map,
     ) -> None:
         """pixels_at : index (2, N) -> pixels. batch : rays at once. map_ : over the workers."""
         self._integrand, self._pixels_at, self._batch, self._map = integrand, pixels_at, batch, map_
@@ -73,8 +74,17 @@ class DirectlySeen:
 
 def contrast_around(values: np.ndarray) -> np.ndarray:
     """(C, W, H) difference between the largest and the least of each pixel's eight neighbours."""
+    return _contrast(values, [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)])
+
+
+def contrast_beside(values: np.ndarray) -> np.ndarray:
+    """The same of the four that share an edge with it."""
+    return _contrast(values, [(0, 1), (2, 1), (1, 0), (1, 2)])
+
+
+def _contrast(values: np.ndarray, around: list[tuple[int, int]]) -> np.ndarray:
+    """around : which of 3 x 3 pixels."""
     width, height = values.shape[1:]
-    around = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)]
 
     def over_neighbours(choose: np.ufunc, beyond: float) -> np.ndarray:
         padded = np.pad(values, [(0, 0), (1, 1), (1, 1)], constant_values=beyond)

@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from .image.film import LARGEST, Layer
+from .integration.mapping import Map
 from .integration.point_sets import PointSet, SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
-from .parts import AroundLights, Map, Region, Seen, cell_of
+from .parts import AroundLights, Region, Seen, cell_of
 from .settings import Settings
 from .transport.camera_hits import Pixels
 

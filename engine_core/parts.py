@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -15,6 +15,7 @@ from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
 from .integration.integrated import Integrated
+from .integration.mapping import Map
 from .scene import Scene
 from .settings import Settings
 from .transport.around_light import AroundLight, Block, blocks, tamed
@@ -30,7 +31,6 @@ from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
 from .transport.single_scattering import ScatteredLight, SingleScattering
 
-Map = Callable[[Callable, Iterable], list]
 Region = tuple[int, int, int, int]
 
 SHADOW_RAYS = 2

@@ -7,7 +7,7 @@ the first axis running to the right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from .integration.allocation import evenly_spread, learned_deviation, sample_cou
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates, drawn
+from .integration.mapping import Map
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
 from .integration.residual import ResidualSampler
@@ -52,8 +53,6 @@ much brighter as this is less than 1."""
 
 MOST_REGIONS = 400_000
 """Of a picture: about 2 kB each."""
-
-Map = Callable[[Callable, Iterable], list]
 
 
 class ControlVariatePicture:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .directly_seen import contrast_around
+from .directly_seen import contrast_beside
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film, Layer
 from .integration.allocation import sample_counts
@@ -425,12 +425,16 @@ class _Render:
         plain = bool(self._parts) and not self._parts_done
         if settings.integrator != "control_variates" or settings.noise_threshold or not exact or plain:
             return None
-        contrast = contrast_around(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
-        if not contrast.any():
-            return None
-        # An edge across a pixel is integrated by n points of a net with an error of n^-3/4.
-        times, _ = sample_counts(contrast.ravel() ** 0.8, (1 + MORE) * contrast.size, 0.0, 1.0)
-        times = np.minimum(times, max(1, MOST_AT_EDGES // self._samples))
+        # As of a chessboard: all white squares tell how often the black ones are sampled, and the reverse.
+        # Counts that are shared out by a pixel's own sample, however far away, would be biased.
+        contrast = contrast_beside(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
+        times, black = np.ones(contrast.shape, np.int64), np.indices(contrast.shape).sum(axis=0) % 2 == 0
+        for which in (black, ~black):
+            if contrast[which].any():
+                # An edge across a pixel is integrated by n points of a net with an error of n^-3/4.
+                budget = (1 + MORE) * np.count_nonzero(which)
+                times[which] = sample_counts(contrast[which] ** 0.8, budget, 0.0, 1.0)[0]
+        times = np.minimum(times.ravel(), max(1, MOST_AT_EDGES // self._samples))
         x0, y0 = self._camera.region[:2]
         work = []
         for many in np.unique(times[times > 1])[::-1]:

@@ -19,10 +19,12 @@ from .integration.allocation import evenly_spread, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variates import drawn
 from .integration.integrand import values_at
+from .integration.mapping import Map
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange
-from .parts import SHADOW_RAYS, Map, OverScreen, cell_of
+from .integration.standard_error import box_sums
+from .parts import SHADOW_RAYS, OverScreen, cell_of
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -502,7 +504,7 @@ class Learned:
         shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
         block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
         sums = [
-            _around(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape))
+            box_sums(np.bincount(block, weights, shape[0] * shape[1]).reshape(1, *shape), 1)[0]
             for weights in (found, own, np.ones(len(rows)))
         ]
         # Of the whole picture what is typical: a few outliers are no reason to sample it all.
@@ -521,7 +523,7 @@ class Learned:
         return cls(floor, ratio_and_mean(*sums), own * own_ratio + own_mean)
 
     def deviation(self, said: np.ndarray, rows: slice, further: np.ndarray) -> np.ndarray:
-        """(h, W) float32 of pixels in some rows, the first of a block's.
+        """(h, W) float64 of pixels in some rows, the first of a block's.
 
         said : (h, W) the nodes'. further : (h, W) variance that is known for sure.
         """
@@ -557,19 +559,4 @@ def _largest_of_blocks(a: np.ndarray) -> np.ndarray:
 
 def _within(a: np.ndarray, distance: int) -> np.ndarray:
     """(H, W) whether there is a pixel of ``a`` so near in rows and columns."""
-    for axis in range(2):
-        b = a.copy()
-        for shift in range(1, distance + 1):
-            low, high = [slice(None)] * 2, [slice(None)] * 2
-            low[axis], high[axis] = slice(None, -shift), slice(shift, None)
-            b[tuple(low)] |= a[tuple(high)]
-            b[tuple(high)] |= a[tuple(low)]
-        a = b
-    return a
-
-
-def _around(a: np.ndarray) -> np.ndarray:
-    """Sums of each with its eight neighbours."""
-    padded = np.pad(a, 1)
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+    return box_sums(a[None], distance)[0] > 0.5

@@ -7,10 +7,9 @@ the samples that it directs: so the estimate stays unbiased.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-
 import numpy as np
 
+from .mapping import Map
 from .standard_error import box_sums
 
 NEIGHBOURHOODS = ((8, 0.5), (3, 4.0))
@@ -25,8 +24,6 @@ STRIP = 64
 
 _OCTAVE = 64
 """Steps an octave in which the scale of a budget is sought."""
-
-Map = Callable[[Callable, Iterable], list]
 
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from .inner_rules import InnerRule, Nodes
 from .integrand import StagedIntegrand, values_at
+from .mapping import Map
 from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, root_edges
 from .rules import face_weights, weighted
 from .sobol import hash_combine
@@ -49,7 +50,7 @@ class NodeEvaluator:
         dimensions: int,
         inner: InnerRule | None,
         seed: int,
-        map_: Callable[[Callable, Iterable], list],
+        map_: Map,
         channels: int | None = None,
     ) -> None:
         """bins_at : index (K, N) -> the integrand's bins. dimensions : m, those of the tree.

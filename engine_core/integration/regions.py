@@ -9,11 +9,12 @@ evaluated twice, whether a region, its child or its neighbour asks for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from .mapping import Map
 from .rules import face_weights, weighted
 
 BIN = 20
@@ -48,8 +49,6 @@ _EMPTY = np.uint64(1)
 
 PIECE = 1 << 16
 """Nodes of the regions that a worker takes at once: what fits the cache."""
-
-Map = Callable[[Callable, Iterable], list]
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 """place (m, N) int64 -> values (C, N), and the spread (N,) of the dimensions inside the nodes."""

@@ -7,11 +7,10 @@ outline they are not. What a camera ray brings through fog jumps there, and no p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-
 import numpy as np
 
 from ..geometry.surfaces import Surfaces
+from ..integration.mapping import Map
 from .camera_rays import CameraRays
 
 BEND = 0.03
@@ -25,7 +24,7 @@ def silhouettes(
     rays: CameraRays,
     surfaces: Surfaces,
     region: tuple[int, int, int, int],
-    map_: Callable[[Callable, Iterable], list],
+    map_: Map,
 ) -> np.ndarray:
     """(W, H) bool, pixels of ``region`` (x0, y0, x1, y1) that an outline crosses.
 
@@ -69,9 +68,7 @@ class Silhouettes:
         self._rays, self._surfaces = rays, surfaces
         self._found: dict[tuple[int, int, int, int], np.ndarray] = {}
 
-    def __call__(
-        self, region: tuple[int, int, int, int], map_: Callable[[Callable, Iterable], list]
-    ) -> np.ndarray:
+    def __call__(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
         """As `silhouettes`; the caller's own copy."""
         if region not in self._found:
             self._found[region] = silhouettes(self._rays, self._surfaces, region, map_)

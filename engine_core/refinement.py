@@ -17,7 +17,7 @@ from .integration.allocation import evenly_spread, learned_deviation, sample_cou
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates, drawn
-from .integration.mapping import Map
+from .integration.mapping import Map, in_order
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
 from .integration.residual import ResidualSampler
@@ -105,14 +105,15 @@ class ControlVariatePicture:
         log_edge = root_edge(bins, self.covered, budget / evaluator.cost)
         if log_edge is None:
             return False
-        tree = RegionTree(bins, self.covered, log_edge, evaluator, within_bins=False, map_=map_)
+        expected = int(budget / evaluator.cost)
+        tree = RegionTree(bins, self.covered, log_edge, evaluator, False, map_=map_, expected=expected)
         self._see(map_)
         try:
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
         except BaseException:
             # Given up between two sweeps' evaluations: what was built before them is whole.
             self._check = lambda: None
-            self._show(tree, log_edge, lambda function, items: [function(item) for item in items])
+            self._show(tree, log_edge, in_order)
             raise
         self.regions, self.nodes = len(tree), tree.store.count
         if not (helps or alone):
@@ -141,7 +142,7 @@ class ControlVariatePicture:
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
-        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps)
+        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps, map_)
         self._mean = np.zeros((CHANNELS, *self._bins))
         self._error = np.zeros(self._bins)
         self._plain = np.zeros(self._bins, bool)
@@ -247,7 +248,7 @@ class ControlVariatePicture:
             return
         x, y = part = self._part(number)
         self._sample(number, *(self._count(part, p).ravel() for p in (pass_ - 1, pass_)), done)
-        if pass_ == 0:
+        if pass_ == 0 and self._settings.depth:
             self._measure_depth(number)
         film, h = self._film, self._first[:, x, y] + self._mean[:, x, y]
         residual = self._residual.reshape(self._mean.shape)[:, x, y]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .mapping import Map
+from .mapping import Map, in_order
 from .standard_error import box_sums
 
 NEIGHBOURHOODS = ((8, 0.5), (3, 4.0))
@@ -29,13 +29,13 @@ _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 
 
 def learned_deviation(
-    square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray, map_: Map | None = None
+    square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray, map_: Map = in_order
 ) -> np.ndarray:
     """(*bins) deviation of a sample: what the nodes predicted, as right as it was in the neighbourhood.
 
     square : (*bins) f - h squared of a sample in each bin of a pilot. pilot : (*bins) bool, which those are.
     predicted : (*bins) the nodes' deviation. A bin's own sample has no say, so that it may be kept.
-    map_ : runs a function over items on workers; None to do it here.
+    map_ : runs a function over items on workers.
     """
     variance = np.square(predicted)
     variance += 1e-4 * variance.mean() + 1e-300
@@ -57,12 +57,7 @@ def learned_deviation(
         here = slice(low - first, low - first + STRIP)
         out[low : low + STRIP] = np.sqrt(variance_ * ratio + PLACE * mean)[here]
 
-    strips = range(0, len(out), STRIP)
-    if map_ is None:
-        for low in strips:
-            learn(low)
-    else:
-        map_(learn, strips)
+    map_(learn, range(0, len(out), STRIP))
     return out
 
 

@@ -78,16 +78,19 @@ class NodeEvaluator:
                 "dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)]
             )
             order = np.argsort(key, kind="stable")
-            place = place.take(order, axis=1)
-        step = max(1, BATCH // self.cost)
-        parts = [place[:, low : low + step] for low in range(0, place.shape[1], step)]
-        results = self._map(self._evaluate, parts)
+        step, count = max(1, BATCH // self.cost), place.shape[1]
+        parts = [slice(low, low + step) for low in range(0, count, step)]
+
+        def evaluate(part: slice) -> tuple[np.ndarray, np.ndarray | None, int]:
+            return self._evaluate(place[:, part] if order is None else place.take(order[part], axis=1))
+
+        results = self._map(evaluate, parts)
         values = np.concatenate([r[0] for r in results], axis=1)
         spread = np.concatenate([r[1] for r in results], axis=-1) if self._inner else None
         self.evaluations += sum(r[2] for r in results)
         if order is not None:
             back = np.empty_like(order)
-            back[order] = np.arange(len(order))
+            back[order] = np.arange(count)
             values = values.take(back, axis=-1)
             spread = None if spread is None else spread.take(back, axis=-1)
         return values, spread

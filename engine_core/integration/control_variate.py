@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .mapping import Map, in_order
 from .regions import BIN, WHOLE, Regions, RegionTree, neighbourly
 from .rules import bin_means, face_weights, lagrange, weighted
 
@@ -265,13 +266,16 @@ def _tensor(basis: list[np.ndarray], count: int) -> np.ndarray:
 class ControlVariate:
     """A region tree cut into tiles."""
 
-    def __init__(self, tree: RegionTree, log_edge: int, max_overlaps: int) -> None:
-        """log_edge : of the tree's roots. max_overlaps : of regions and bins, in any one tile."""
+    def __init__(self, tree: RegionTree, log_edge: int, max_overlaps: int, map_: Map = in_order) -> None:
+        """log_edge : of the tree's roots. max_overlaps : of regions and bins, in any one tile.
+
+        map_ : runs a function over items on workers.
+        """
         self._tree = tree
         self.bins = tree.bins
         regions = tree.leaves()
         # The nodes' errors have done their part in the tree: from here on they direct samples.
-        regions.density[:] = neighbourly(regions.density, regions, tree.store.count)
+        regions.density[:] = neighbourly(regions.density, regions, tree.store.count, map_)
         covered = np.maximum(regions.size[: len(tree.bins)].astype(np.int64) - BIN, 0).sum(axis=0)
         overlaps = np.ldexp(1.0, covered)
         self._log = max(_LOG_BINS // len(tree.bins), log_edge)

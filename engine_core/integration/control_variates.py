@@ -91,7 +91,10 @@ class ControlVariates:
         rough = None if self.rough is None else np.asarray(self.rough, bool)
         helps = log_edge is not None and not (rough is not None and rough.all())
         if helps:
-            tree = RegionTree(bins, covered, log_edge, evaluator, self.split == 1, rough, problem.pool.map)
+            expected = int(budget / evaluator.cost)
+            tree = RegionTree(
+                bins, covered, log_edge, evaluator, self.split == 1, rough, problem.pool.map, expected
+            )
             helps = grow(tree, evaluator, budget, total, self.max_regions) or not self.residual
         if not helps:
             if not self.residual:
@@ -105,7 +108,7 @@ class ControlVariates:
 
     def _integrate(self, problem, tree, log_edge, covered, samples, begin, built) -> Result:
         bins = problem.bins
-        variate = ControlVariate(tree, log_edge, self.max_overlaps)
+        variate = ControlVariate(tree, log_edge, self.max_overlaps, problem.pool.map)
         shape = (len(tree.store.values), *bins)
         h, error, plain = np.zeros(shape), np.zeros(bins), np.zeros(bins, bool)
 

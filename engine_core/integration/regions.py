@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .mapping import Map
+from .mapping import Map, in_order
 from .rules import face_weights, weighted
 
 BIN = 20
@@ -50,6 +50,9 @@ _EMPTY = np.uint64(1)
 PIECE = 1 << 16
 """Nodes of the regions that a worker takes at once: what fits the cache."""
 
+MOST_EXPECTED = 1 << 21
+"""Nodes that room is made for before there are any."""
+
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 """place (m, N) int64 -> values (C, N), and the spread (N,) of the dimensions inside the nodes."""
 
@@ -60,10 +63,13 @@ class NodeStore:
     values : (C, N). spread : (N,), or more of what a rule tells of a node (..., N), or None.
     """
 
-    def __init__(self, evaluate: Evaluate) -> None:
+    def __init__(self, evaluate: Evaluate, expected: int = 0) -> None:
+        """expected : nodes that there will be, about: to make room for them at once."""
         self._evaluate = evaluate
-        self._keys = np.full(1 << 12, _EMPTY)  # at each of the table's places, with linear probing
-        self._slots = np.zeros(1 << 12, np.int32)
+        self._expected = min(expected, MOST_EXPECTED)
+        # At each of the table's places, with linear probing.
+        self._keys, self._slots = np.zeros(0, np.uint64), np.zeros(0, np.int32)
+        self._reserve(max(self._expected, 1 << 11))
         self._values: np.ndarray | None = None
         self._spread: np.ndarray | None = None
         self.count = 0
@@ -87,7 +93,7 @@ class NodeStore:
         at *= NODE_KEYS[0]
         at >>= np.uint64(65 - len(self._keys).bit_length())
         at = at.view(np.int64)
-        unseen = []
+        unseen = np.zeros(len(keys), bool)
         left, here, key = np.arange(len(keys)), at, keys
         while left.size:
             found = self._keys.take(here)
@@ -97,12 +103,12 @@ class NodeStore:
                 self._keys[here[free]] = key[free]
                 free = free[self._keys.take(here[free]) == key[free]]
                 found[free] = key[free]
-                unseen.append(left[free])
+                unseen[left[free]] = True
             further = np.flatnonzero(found != key)
             left, key = left[further], key[further]
             here = (here[further] + 1) & (len(self._keys) - 1)
             at[left] = here
-        return at, np.sort(np.concatenate(unseen)) if unseen else left
+        return at, np.flatnonzero(unseen)
 
     def _reserve(self, count: int) -> None:
         """A table no more than half full of ``count`` nodes."""
@@ -125,16 +131,19 @@ class NodeStore:
 
     def _append(self, values: np.ndarray, spread: np.ndarray | None) -> None:
         end = self.count + values.shape[1]
-        self._values = _grown(self._values, values, self.count, end)
+        self._values = _grown(self._values, values, self.count, end, self._expected)
         if spread is not None:
-            self._spread = _grown(self._spread, spread, self.count, end)
+            self._spread = _grown(self._spread, spread, self.count, end, self._expected)
         self.count = end
 
 
-def _grown(array: np.ndarray | None, new: np.ndarray, begin: int, end: int) -> np.ndarray:
-    """``array`` with ``new`` at [begin:end] of its last axis, in place while there is room."""
+def _grown(array: np.ndarray | None, new: np.ndarray, begin: int, end: int, expected: int) -> np.ndarray:
+    """``array`` with ``new`` at [begin:end] of its last axis, in place while there is room.
+
+    expected : to make room for at first.
+    """
     if array is None:
-        array = np.empty((*new.shape[:-1], max(1024, end)), new.dtype)
+        array = np.empty((*new.shape[:-1], max(1024, end, expected)), new.dtype)
     elif array.shape[-1] < end:
         larger = np.empty((*array.shape[:-1], max(2 * array.shape[-1], end)), array.dtype)
         larger[..., :begin] = array[..., :begin]
@@ -195,25 +204,27 @@ class Regions:
         )
 
 
-def neighbourly(density: np.ndarray, regions: Regions, nodes: int) -> np.ndarray:
+def neighbourly(density: np.ndarray, regions: Regions, nodes: int, map_: Map) -> np.ndarray:
     """(R,) half of each region's own error, half the mean over its nodes of those of all who share them.
 
     An edge that crosses a region between its nodes is seen by its neighbours.
+    map_ : runs a function over items on workers.
     """
-    shared = regions.nodes.shape[1]
-    total, count = np.zeros(nodes), np.zeros(nodes)
-    step = max(1, (1 << 22) // shared)
-    for low in range(0, len(density), step):
-        part = slice(low, low + step)
-        slots = regions.nodes[part].ravel().astype(np.int64)
-        total += np.bincount(slots, np.repeat(density[part], shared), nodes)
-        count += np.bincount(slots, minlength=nodes)
+    # In two parts however many workers there are, so that sums are the same to the last bit.
+    middle = len(density) // 2
+    parts = [slice(0, middle), slice(middle, None)]
+
+    def summed(part: slice) -> tuple[np.ndarray, np.ndarray]:
+        slots = regions.nodes[part].ravel()
+        each = np.repeat(density[part], regions.nodes.shape[1])
+        return np.bincount(slots, each, nodes), np.bincount(slots, minlength=nodes)
+
+    (total, count), (more, also) = map_(summed, parts)
+    total += more
+    count += also
     total /= np.maximum(count, 1)
-    out = np.empty(len(density))
-    for low in range(0, len(density), step):
-        part = slice(low, low + step)
-        out[part] = total.take(regions.nodes[part]).mean(axis=1)
-    return 0.5 * (density + out)
+    around = np.concatenate(map_(lambda part: total.take(regions.nodes[part]).mean(axis=1), parts))
+    return 0.5 * (density + around)
 
 
 def root_edges(bins: int, log_edge: int) -> tuple[np.ndarray, np.ndarray]:
@@ -268,17 +279,19 @@ class RegionTree:
         evaluate: Evaluate,
         within_bins: bool = True,
         without: np.ndarray | None = None,
-        map_: Map | None = None,
+        map_: Map = in_order,
+        expected: int = 0,
     ) -> None:
         """dimensions : m, the bins' and those after them. log_edge : roots are 2^log_edge bins long.
 
         within_bins : whether regions may be shorter than a bin. without : (*bins) bool, bins of no region.
-        map_ : runs a function over items on workers, and returns the results in order; None to do it here.
+        map_ : runs a function over items on workers, and returns the results in order.
+        expected : nodes that there will be, about.
         """
         self.bins = bins
         self.dimensions = m = dimensions
-        self.store = NodeStore(evaluate)
-        self._map = map_ or (lambda function, items: [function(item) for item in items])
+        self.store = NodeStore(evaluate, expected)
+        self._map = map_
         self.splits = self.sweeps = 0
         self._keys = NODE_KEYS[:m]
         self._smallest = np.full(m, SMALLEST)

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from .directly_seen import contrast_beside
+from .edge_samples import EdgeSamples
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film, Layer
-from .integration.allocation import sample_counts
 from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
@@ -43,9 +42,6 @@ BLOCK = 16
 
 PICTURES = {OverScreen: ScreenPicture, Seen: SeenPicture, AroundLights: AroundLightsPicture}
 """What makes a part's layer."""
-
-MORE, MOST_AT_EDGES = 1 / 4, 4096
-"""Samples for edges between pixels, of all others; and of a pixel at most."""
 
 DEPTH_ROWS = 16
 """Of the picture, whose depth is looked for at once."""
@@ -415,56 +411,28 @@ class _Render:
         return self._more_at_edges(pool) or "samples"
 
     def _more_at_edges(self, pool: Executor) -> str | None:
-        """More samples where neighbours see different things; returns why they were stopped, if they were.
-
-        Lights without size, all of them sampled, leave the pixel alone to be integrated; and near such a
-        light, or across its shadow's edge, a pixel in a hundred holds all of the error.
-        """
-        settings, film, integrand = self._settings, self._surface, self._integrand
+        """`EdgeSamples`, where they are worth it; returns why they were stopped, if they were."""
+        settings, integrand = self._settings, self._integrand
         exact = integrand.samples_every or (integrand.only_points and len(integrand.lights) == 1)
         plain = bool(self._parts) and not self._parts_done
         if settings.integrator != "control_variates" or settings.noise_threshold or not exact or plain:
             return None
-        # As of a chessboard: all white squares tell how often the black ones are sampled, and the reverse.
-        # Counts that are shared out by a pixel's own sample, however far away, would be biased.
-        contrast = contrast_beside(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
-        times, black = np.ones(contrast.shape, np.int64), np.indices(contrast.shape).sum(axis=0) % 2 == 0
-        for which in (black, ~black):
-            if contrast[which].any():
-                # An edge across a pixel is integrated by n points of a net with an error of n^-3/4.
-                budget = (1 + MORE) * np.count_nonzero(which)
-                times[which] = sample_counts(contrast[which] ** 0.8, budget, 0.0, 1.0)[0]
-        times = np.minimum(times.ravel(), max(1, MOST_AT_EDGES // self._samples))
-        x0, y0 = self._camera.region[:2]
-        work = []
-        for many in np.unique(times[times > 1])[::-1]:
-            rows = np.flatnonzero(times == many)
-            step = max(1, settings.batch_size // (self._samples * int(many)))
-            work += [(int(many), rows[low : low + step]) for low in range(0, len(rows), step)]
-        self._points[0].prepare(self._samples * int(times.max()))
-        self._points[1].prepare(self._samples * int(times.max()))
-        self._pass_work, self._done = sum((many - 1) * len(rows) for many, rows in work) * self._samples, 0
+        edges = EdgeSamples(
+            integrand,
+            self._surface,
+            self._camera.region[:2],
+            self._points,
+            self._samples,
+            settings.batch_size,
+            self._check,
+        )
+        self._pass_work, self._done = edges.samples, 0
 
         def add(many: int, rows: np.ndarray) -> None:
-            self._check()
-            row, column = np.divmod(rows, film.depth.shape[1])
-            pixels = Pixels(
-                (column + x0).astype(np.int32), (row + y0).astype(np.int32), np.zeros(len(rows), np.int32)
-            )
-            choice = integrand.choice_of_cells(*np.zeros((2, 1), np.intp), self._check)
-            over = DirectLightOverTile(integrand, choice, self._check)
-            start, count = self._samples, self._samples * (many - 1)
-            sums = sum_samples(over, pixels, pixels.key(), self._points, start, count, 1, settings.batch_size)
-            mean = np.minimum(sums.values / count, LARGEST)
-            for kept, new in ((film.combined, mean[:4]), (film.normal, mean[4:7])):
-                if len(new):
-                    old = kept[row, column]
-                    kept[row, column] = old + (new.T - old) * ((many - 1) / many)
-            film.sample_count[row, column] = start + count
-            self._done += count * len(rows)
-            self._count(over)
+            self._count(edges.add(many, rows))
+            self._done += (many - 1) * len(rows) * self._samples
 
-        pending = {pool.submit(_quietly, add, *one): None for one in work}
+        pending = {pool.submit(_quietly, add, *one): None for one in edges.work}
         ended = self._wait(pending, lambda future, _: future.result(), lambda: "Sampling edges", 0.99, 0.01)
         self._show_all()
         return ended

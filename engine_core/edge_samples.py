@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""More samples where neighbours see different things.
+
+Lights without size, all of them sampled, leave the pixel alone to be integrated; and near such a light, or
+across its shadow's edge, a pixel in a hundred holds all of the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .directly_seen import contrast_beside
+from .image.film import LARGEST, Film
+from .integration.allocation import sample_counts
+from .integration.point_sets import PointSet
+from .integration.sample_mean import sum_samples
+from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
+
+MORE, MOST = 1 / 4, 4096
+"""Samples for edges between pixels, of all others; and of a pixel at most."""
+
+
+class EdgeSamples:
+    """Which pixels of a film are sampled how much more, and doing so.
+
+    work : (times, rows (N,)) what `add` takes, the most samples first. samples : of all work.
+    """
+
+    def __init__(
+        self,
+        integrand: DirectLight,
+        film: Film,
+        corner: tuple[int, int],
+        points: tuple[PointSet, PointSet],
+        have: int,
+        batch: int,
+        check: Callable[[], None],
+    ) -> None:
+        """film : of means of ``have`` samples of ``points`` in each pixel. corner : x0, y0 in the frame.
+
+        batch : samples at once, about. check : called before every batch; may raise.
+        """
+        self._integrand, self._film, self._corner, self._points = integrand, film, corner, points
+        self._have, self._batch, self._check = have, batch, check
+        # As of a chessboard: all white squares tell how often the black ones are sampled, and the reverse.
+        # Counts that are shared out by a pixel's own sample, however far away, would be biased.
+        contrast = contrast_beside(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
+        times, black = np.ones(contrast.shape, np.int64), np.indices(contrast.shape).sum(axis=0) % 2 == 0
+        for which in (black, ~black):
+            if contrast[which].any():
+                # An edge across a pixel is integrated by n points of a net with an error of n^-3/4.
+                budget = (1 + MORE) * np.count_nonzero(which)
+                times[which] = sample_counts(contrast[which] ** 0.8, budget, 0.0, 1.0)[0]
+        times = np.minimum(times.ravel(), max(1, MOST // have))
+        self.work: list[tuple[int, np.ndarray]] = []
+        for many in np.unique(times[times > 1])[::-1]:
+            rows = np.flatnonzero(times == many)
+            step = max(1, batch // (have * int(many)))
+            self.work += [(int(many), rows[low : low + step]) for low in range(0, len(rows), step)]
+        self.samples = sum((many - 1) * len(rows) for many, rows in self.work) * have
+        for group in points:
+            group.prepare(have * int(times.max()))
+
+    def add(self, many: int, rows: np.ndarray) -> DirectLightOverTile:
+        """Sample pixels ``rows`` (N,) of the film until they have ``many`` times their samples.
+
+        Returns what was sampled, which has counted its rays.
+        """
+        self._check()
+        film, integrand, have = self._film, self._integrand, self._have
+        row, column = np.divmod(rows, film.depth.shape[1])
+        x, y = column + self._corner[0], row + self._corner[1]
+        pixels = Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(rows), np.int32))
+        choice = integrand.choice_of_cells(*np.zeros((2, 1), np.intp), self._check)
+        over = DirectLightOverTile(integrand, choice, self._check)
+        new = have * (many - 1)
+        sums = sum_samples(over, pixels, pixels.key(), self._points, have, new, 1, self._batch)
+        mean = np.minimum(sums.values / new, LARGEST)
+        for kept, values in ((film.combined, mean[:4]), (film.normal, mean[4:7])):
+            if len(values):
+                old = kept[row, column]
+                kept[row, column] = old + (values.T - old) * ((many - 1) / many)
+        film.sample_count[row, column] = have + new
+        return over

@@ -180,14 +180,14 @@ class ScreenPicture:
         tree = self._tree
         leaves, values = tree.leaves(), tree.store.values
         weights = face_weights(2)
-        density = neighbourly(leaves.density, leaves, tree.store.count)
+        density = neighbourly(leaves.density, leaves, tree.store.count, map_)
         coefficients = np.stack([v.take(leaves.nodes) for v in values], axis=-1)  # (R, 9, C)
         self._coefficients = coefficients.astype(np.float32)
         first = np.einsum("rnc,n->rc", coefficients, weights)
         inside, self._crossed = np.zeros(len(leaves)), np.zeros(len(leaves), bool)
         if tree.store.spread is not None:
             spread, *edges = np.atleast_2d(tree.store.spread)
-            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count)
+            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count, map_)
             for of_nodes in (e.take(leaves.nodes) for e in edges):
                 # Where some see a shadow's edge and others do not, there is its outline, steep as a root.
                 self._crossed |= of_nodes.min(axis=1) < of_nodes.max(axis=1)

@@ -93,8 +93,8 @@ class _Convex:
 
     def spans(self, origins, directions, reach, inside) -> Spans:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            along = 1 / (self._normals @ directions.T)
-            height = self._normals @ origins.T
+            along = 1 / _along(self._normals, directions)
+            height = _along(self._normals, origins)
             low, high = self._low - height, self._high - height
             low *= along
             high *= along
@@ -106,6 +106,14 @@ class _Convex:
         np.fmin(end, reach, out=end)
         ray = np.flatnonzero(end > start)
         return Spans(ray, start.take(ray), end.take(ray))
+
+
+def _along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(P, N) inner products of (P, 3) and (N, 3). Not by ``@``, as `integration.rules.weighted`."""
+    out = normals[:, :1] * vectors[:, 0]
+    out += normals[:, 1:2] * vectors[:, 1]
+    out += normals[:, 2:] * vectors[:, 2]
+    return out
 
 
 class _Traced:

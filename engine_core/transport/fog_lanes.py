@@ -337,11 +337,11 @@ class AboutPoints(Lanes):
     def _at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """m, p and s as float32: sums of what is positive, so that no digit is lost."""
         s = s.astype(np.float32)
-        if s.ndim == 2 and s.shape[1] == 1:
-            both = np.concatenate([1 - s, s], axis=1)
-            return both @ self._m, both @ self._p, s
         rest = 1 - s
-        return self._m[0] * rest + self._m[1] * s, self._p[0] * rest + self._p[1] * s, s
+        m, p = self._m[0] * rest, self._p[0] * rest
+        m += self._m[1] * s
+        p += self._p[1] * s
+        return m, p, s
 
     def smooth(self, s):
         m, p, s = self._at(s)

@@ -26,7 +26,15 @@ from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
-from .transport.ray_rule import BISECTIONS, CHECKS, NODES, AlongRay, ScatteredAlongRay
+from .transport.ray_rule import (
+    BISECTIONS,
+    CHECKS,
+    NODES,
+    RAY_POINTS,
+    AlongRay,
+    PointsOfRay,
+    ScatteredAlongRay,
+)
 from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
 from .transport.single_scattering import ScatteredLight, SingleScattering
@@ -101,6 +109,7 @@ class OverScreen:
     sampled : an unbiased estimate of the same with little noise, for the residual.
     rays : to each light, that either takes, about.
     alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
+    alone_rays : to each light, that such a point takes.
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
@@ -120,6 +129,7 @@ class OverScreen:
     fresh: StagedIntegrand | None = None
     visible: float = VISIBLE
     at_outlines: int = AT_OUTLINES
+    alone_rays: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,10 +279,11 @@ def _of_fog(
             AlongRay(node),
             whole,
             ray,
-            whole,
+            PointsOfRay(scattering, bare, check),
             1,
             and_beams,
             elsewhere,
+            alone_rays=int(RAY_POINTS * dear),
             at_outlines=AT_OUTLINES if dear == 1 else AT_OUTLINES_OF_MANY,
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))

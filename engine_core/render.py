@@ -155,7 +155,14 @@ class _Render:
             settings.transparent_bounces,
         )
         self._parts = parts_of(scene, self._integrand, settings, self._check)
-        self._film = Film.empty(*scene.camera.region_size, [part.shows for part in self._parts])
+        # A lens is two dimensions more, which no polynomial over the screen covers.
+        self._parts_done = (
+            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
+        )
+        # A picture of what is black needs its depth alone.
+        self._sampled = self._integrand.shows or bool(self._parts and not self._parts_done)
+        shown = [part.shows for part in self._parts]
+        self._film = Film.empty(*scene.camera.region_size, shown, self._sampled)
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
         self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
@@ -168,10 +175,6 @@ class _Render:
             self._split,
             settings.seed,
         )
-        # A lens is two dimensions more, which no polynomial over the screen covers.
-        self._parts_done = (
-            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
-        )
         self._part_points = [
             staged_points(
                 "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
@@ -183,8 +186,6 @@ class _Render:
             for number, part in enumerate(self._parts)
         ]
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
-        # A picture of what is black needs its depth alone.
-        self._sampled = self._integrand.shows or bool(self._parts and not self._parts_done)
         self._samples = settings.samples
         if self._quadrature:
             self._samples = max(1, self._samples // QUADRATURE_SHARE)
@@ -213,7 +214,6 @@ class _Render:
         try:
             ended = self._parts_by_control_variates(pool) or self._by_control_variates(pool)
             if ended is None and not self._sampled:
-                self._surface.combined[..., 3] = 1
                 ended = self._look_for_depth(pool) if self._settings.depth else "samples"
             elif ended is None:
                 begin = time.perf_counter()
@@ -310,9 +310,9 @@ class _Render:
             outcome, ended = self._drive(pool, picture.build, f"Building {part.name}")
             if not ended:
                 outcome.result()
-                self._show_all()
-                if isinstance(picture, ScreenPicture) and self._settings.integrator == "control_variates":
+                if isinstance(picture, ScreenPicture):
                     ended = self._refine_part(pool, picture, part.name)
+                self._show_all()
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
             stages = picture.seconds | {"in all": time.perf_counter() - begin}
@@ -323,10 +323,20 @@ class _Render:
         return None
 
     def _refine_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
-        outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
-        if ended:
-            return ended
-        outcome.result()
+        """Show what is built, and sample what it leaves; returns why it was stopped, if it was."""
+        map_, ended = _map_on(pool), None
+        if self._sink.watched:
+            picture.show(map_)
+            self._show_all()
+        if self._settings.integrator == "control_variates":
+            outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
+            if not ended:
+                outcome.result()
+                ended = self._sample_part(pool, picture, name)
+        picture.show(map_)
+        return ended
+
+    def _sample_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
         self._done, self._pass_work = 0, sum(picture.work(number) for number in range(len(picture)))
 
         def done(samples: int) -> None:
@@ -336,8 +346,7 @@ class _Render:
         ended = self._wait(
             pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True
         )
-        picture.finish(_map_on(pool))
-        self._show_all()
+        picture.finish()
         return ended
 
     def _refine(self, pool: Executor, picture: ControlVariatePicture) -> str | None:
@@ -588,9 +597,9 @@ class _Render:
         self._count(integrand)
         for part, layer, points in zip(self._parts, self._film.layers[1:], self._part_points, strict=True):
             if not self._parts_done:
-                self._sample_part(part, layer, points, pixels, row, column, start, count)
+                self._sample_plainly(part, layer, points, pixels, row, column, start, count)
 
-    def _sample_part(
+    def _sample_plainly(
         self,
         part: Part,
         layer: Layer,

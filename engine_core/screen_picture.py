@@ -22,7 +22,7 @@ from .integration.integrand import values_at
 from .integration.mapping import Map
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, RegionTree, neighbourly
-from .integration.rules import bin_means, face_weights, lagrange
+from .integration.rules import bin_means, face_weights, lagrange, weighted
 from .integration.standard_error import box_sums
 from .parts import SHADOW_RAYS, OverScreen, cell_of
 from .settings import Settings
@@ -81,8 +81,17 @@ FAITH = 0.5
 OUTLINE_WEIGHT = 2.0
 """Of their deviation: across an edge the error of a net falls faster than by the root of its points."""
 
-NEAR = 4
+NEAR = 2
 """Pixels from an outline, where more of it may be that was not found: none of them is left to chance."""
+
+STEP = 0.05
+"""Between nodes of a region with an outline in it, of the nodes' mean: no polynomial goes up one."""
+
+AT_BESIDE = 2
+"""Samples at least, and an even number, of pixels in such regions that the outline itself does not cross."""
+
+PIECES = 8
+"""Into which a batch is parted, as a sample is many evaluations, and all workers should have some."""
 
 FLOOR = 0.002
 """Deviation of a sample, of the picture's mean radiance, below which no node is believed."""
@@ -115,9 +124,7 @@ class ScreenPicture:
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
         self._elsewhere, self._fresh, self._visible = by.elsewhere, by.fresh, by.visible
         self._at_outlines = by.at_outlines
-        self._split, self._alone_cost = by.split, max(1.0, by.split / SHADOW_RAYS)
-        if by.alone is by.sampled:
-            self._alone_cost = max(1.0, by.rays / SHADOW_RAYS)
+        self._split, self._alone_cost = by.split, max(1.0, by.split * by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         self._cost = max(1.0, by.rays / SHADOW_RAYS)
         self._frame, self._corner = region, region[:2]
@@ -128,7 +135,7 @@ class ScreenPicture:
         self._tree: RegionTree | None = None
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> None:
-        """Build the polynomials and write their means into the layer; all plain where they do not help.
+        """Build the polynomials and their means; all plain where they do not help.
 
         map_ : runs a function over items on the workers. enough : whether to make do with what there is.
         """
@@ -161,7 +168,6 @@ class ScreenPicture:
         if self._fresh is not None and self.regions:
             self._correct(map_)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
-        self._show(map_)
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
@@ -170,11 +176,12 @@ class ScreenPicture:
     def _integrate(self, map_: Map) -> None:
         """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
         width, height = self._bins
-        self._mean = np.zeros((height, width, CHANNELS), np.float32)
+        # The layer's own.
+        self._mean, self._residual = self._layer.control_variate, self._layer.residual
         self._region = np.full((height, width), -1, np.int32)
-        self._residual = np.zeros_like(self._mean)
         self._deviation = self._inside = np.zeros(0, np.float32)
         self._crossed = np.zeros(0, bool)
+        self._beside = np.zeros((height, width), bool)
         if self._tree is None:
             return
         tree = self._tree
@@ -187,7 +194,8 @@ class ScreenPicture:
         inside, self._crossed = np.zeros(len(leaves)), np.zeros(len(leaves), bool)
         if tree.store.spread is not None:
             spread, *edges = np.atleast_2d(tree.store.spread)
-            inside = neighbourly(spread.take(leaves.nodes) @ weights, leaves, tree.store.count, map_)
+            noise = weighted(spread.take(leaves.nodes), weights)
+            inside = neighbourly(noise, leaves, tree.store.count, map_)
             for of_nodes in (e.take(leaves.nodes) for e in edges):
                 # Where some see a shadow's edge and others do not, there is its outline, steep as a root.
                 self._crossed |= of_nodes.min(axis=1) < of_nodes.max(axis=1)
@@ -217,14 +225,25 @@ class ScreenPicture:
             within = np.arange(edge[1])[:, None] * width + np.arange(edge[0])
             at = within.reshape(-1, 1) + (y * width + x)
             grid = self._coefficients.take(chosen, axis=0).transpose(1, 0, 2).reshape(9, -1)
-            self._mean.reshape(-1, CHANNELS)[at] = (each[edge] @ grid).reshape(*at.shape, CHANNELS)
+            # Not by ``@``, as `rules.weighted`.
+            mean = np.einsum("pn,nr->pr", each[edge], grid)
+            self._mean.reshape(-1, CHANNELS)[at] = mean.reshape(*at.shape, CHANNELS)
             self._region.reshape(-1)[at] = chosen
 
         map_(means, pieces)
-        if plain.size:
-            is_plain = np.zeros(len(leaves) + 1, bool)
-            is_plain[plain] = True
-            self._outline |= is_plain[self._region]
+        # One more for pixels of none.
+        is_plain, has_outline = np.zeros((2, len(leaves) + 1), bool)
+        is_plain[plain] = True
+        if self._rule is not None:
+            # By a net, f itself is noisier than f - h.
+            has_outline[self._region[self._outline]] = True
+        step = np.ptp(coefficients, axis=1).sum(axis=1)
+        has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
+        has_outline[-1] = False
+        beside = has_outline[self._region]
+        self._outline |= is_plain[self._region]
+        self._beside = beside & ~self._outline
+        self._outline |= self._beside
         self._tree = None
 
     def _correct(self, map_: Map) -> None:
@@ -273,12 +292,13 @@ class ScreenPicture:
         settings, (width, height) = self._settings, self._bins
         served = (self._region >= 0) & ~self._outline
         self._approximate = served
-        # H stays on show until samples are there; from here on it is no part of a plain pixel.
-        plain = np.flatnonzero(~served)
-        self._mean.reshape(-1, CHANNELS)[plain] = 0
-        alone = plain
+        alone = plain = np.flatnonzero(~served)
         if self._elsewhere is not None:
-            alone = plain[~self._elsewhere.T.reshape(-1)[plain]]
+            elsewhere = self._elsewhere.T.reshape(-1)[plain]
+            self._mean.reshape(-1, CHANNELS)[plain[elsewhere]] = 0
+            alone = plain[~elsewhere]
+        beside = self._beside.reshape(-1)[alone]
+        kinds = [(self._at_outlines, alone[~beside]), (AT_BESIDE, alone[beside])]
         self._points = staged_points("sobol", 2, self._sampled.rest_dimensions, 1, settings.seed + 1)
         self._alone_points = staged_points(
             "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
@@ -289,7 +309,8 @@ class ScreenPicture:
         pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
         self._count = np.zeros((height, width), np.int32)
         self._count.reshape(-1)[pilot] = 1
-        self._count.reshape(-1)[alone] = self._at_outlines
+        for n, which in kinds:
+            self._count.reshape(-1)[which] = n
         found = np.zeros(height * width)  # squares, which float32 would not hold of what is brightest
 
         def few(chunk: tuple[int, np.ndarray]) -> None:
@@ -297,16 +318,15 @@ class ScreenPicture:
             y, x = np.divmod(part, width)
             residual = self._residuals(x, y, n)
             self._residual[y, x] = residual.mean(axis=1)
+            if not self._is_served(y, x):
+                # H stays on show until samples are there.
+                self._mean[y, x] = 0
             # Of f itself, how much its samples differ tells what h would of f - h.
             if n > 1:
                 residual = (residual[:, ::2] - residual[:, 1::2]) / np.sqrt(2)
             found[part] = np.square(np.abs(residual).sum(axis=2)).mean(axis=1)
 
-        chunks = [
-            (n, part)
-            for n, which in ((self._at_outlines, alone), (1, pilot))
-            for part in self._chunks(which, n)
-        ]
+        chunks = [(n, part) for n, which in (*kinds, (1, pilot)) for part in self._chunks(which, n)]
         map_(few, chunks)
         # Of each region, and of none.
         of_region, inside = (np.append(a, np.float32(0)) for a in (self._deviation, self._inside))
@@ -343,13 +363,15 @@ class ScreenPicture:
             inside.take(self._region.reshape(-1)[pilot], mode="wrap")
         )
         deviation.reshape(-1)[plain] = 0
-        if alone.size:
-            deviation.reshape(-1)[alone] = Learned.of(
-                found[alone], alone, np.ones_like(said), 0.0
-            ).of_samples()
+        for _, which in kinds:
+            if which.size:
+                deviation.reshape(-1)[which] = Learned.of(
+                    found[which], which, np.ones_like(said), 0.0
+                ).of_samples()
         # Where a sample is cheaper, or brings more, more of them are worth it.
         weight = OUTLINE_WEIGHT * np.sqrt(self._cost / self._alone_cost)
-        budget = self._left - len(pilot) * self._cost - len(alone) * self._at_outlines * self._alone_cost
+        spent = sum(n * len(which) for n, which in kinds) * self._alone_cost
+        budget = self._left - len(pilot) * self._cost - spent
         of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
         of_served = float(deviation.sum(dtype=np.float64)) - of_alone
         wanted = deviation.ravel()
@@ -387,7 +409,7 @@ class ScreenPicture:
         self.seconds["allocation"] = perf_counter() - began
 
     def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
-        step = max(1, self._settings.batch_size // (n * 2))
+        step = max(1, self._settings.batch_size // (n * PIECES))
         return [rows[low : low + step] for low in range(0, len(rows), step)]
 
     def __len__(self) -> int:
@@ -400,13 +422,12 @@ class ScreenPicture:
         return int(n) * len(part)
 
     def refine(self, number: int, done: Callable[[int], None]) -> None:
-        """Sample the residual of a piece, and write it into the layer."""
+        """Sample the residual of a piece."""
         n, part = self._work[number]
         y, x = np.divmod(part, self._bins[0])
         mean = self._residuals(x, y, int(n)).mean(axis=1)
         self._residual[y, x] = mean / self._chance[y, x][:, None]
         self._count[y, x] = n
-        self._write(y, x)
         done(int(n) * len(part))
 
     def _residuals(self, x: np.ndarray, y: np.ndarray, n: int) -> np.ndarray:
@@ -414,7 +435,7 @@ class ScreenPicture:
         self._check()
         pixels = self._pixels(np.stack([x, y]))
         keys = pixels.key()
-        served = len(x) > 0 and self._approximate[y[0], x[0]]
+        served = self._is_served(y, x)
         integrand, (first, rest) = (
             (self._sampled, self._points) if served else (self._alone, self._alone_points)
         )
@@ -424,6 +445,10 @@ class ScreenPicture:
         f = values_at(integrand, stage, len(x) * n, None, u.reshape(len(u), len(x) * n * split))[:CHANNELS]
         f = f.reshape(CHANNELS, len(x), n, split).mean(axis=3, dtype=np.float64).transpose(1, 2, 0)
         return f - self._variate(x, y, screen) if served else f
+
+    def _is_served(self, y: np.ndarray, x: np.ndarray) -> bool:
+        """Whether pixels (B,), all of them or none, have an h."""
+        return len(x) > 0 and bool(self._approximate[y[0], x[0]])
 
     def _prepare(self, count: int) -> None:
         for points, split in ((self._points, 1), (self._alone_points, self._split)):
@@ -443,23 +468,17 @@ class ScreenPicture:
             both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0)
         )
 
-    def _write(self, y: np.ndarray, x: np.ndarray) -> None:
-        h, residual = self._mean[y, x], self._residual[y, x]
-        layer = self._layer
-        layer.radiance[y, x] = np.clip(h + residual, -LARGEST, LARGEST)
-        layer.residual[y, x] = residual
-
-    def _show(self, map_: Map) -> None:
-        """Write all pixels."""
-        layer = self._layer
+    def show(self, map_: Map) -> None:
+        """Sum both terms of all pixels up."""
 
         def rows(some: slice) -> None:
-            h, residual, radiance = self._mean[some], self._residual[some], layer.radiance[some]
+            h, residual = self._mean[some], self._residual[some]
             for term in (h, residual):
                 np.clip(term, -LARGEST, LARGEST, out=term)
-            np.add(h, residual, out=radiance)
-            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
-            layer.control_variate[some], layer.residual[some] = h, residual
+            # By channels, as the picture may have one more.
+            for channel in range(CHANNELS):
+                radiance = h[..., channel] + residual[..., channel]
+                np.clip(radiance, -LARGEST, LARGEST, out=self._layer.radiance[some][..., channel])
 
         map_(rows, self._rows())
 
@@ -468,9 +487,8 @@ class ScreenPicture:
         height = self._bins[1]
         return [slice(low, min(low + ROWS, height)) for low in range(0, height, ROWS)]
 
-    def finish(self, map_: Map) -> None:
-        """All that is left: pixels sampled in the pilot alone, counts, and the error."""
-        self._show(map_)
+    def finish(self) -> None:
+        """What samples tell beside the radiance: their counts, and the error."""
         self._layer.sample_count[:] = self._count
         if self._settings.standard_error:
             # A mean of n points of a net, that is taken by chance.
@@ -558,5 +576,15 @@ def _largest_of_blocks(a: np.ndarray) -> np.ndarray:
 
 
 def _within(a: np.ndarray, distance: int) -> np.ndarray:
-    """(H, W) whether there is a pixel of ``a`` so near in rows and columns."""
-    return box_sums(a[None], distance)[0] > 0.5
+    """(H, W) whether there is a pixel of ``a`` (H, W) bool so near in rows and columns."""
+    for _ in range(2):
+        # To both sides of each column, then row, by steps that double.
+        reach, wider = 0, a.copy("K")
+        while reach < distance:
+            step = min(reach + 1, distance - reach)
+            before = wider.copy("K")
+            wider[step:] |= before[:-step]
+            wider[:-step] |= before[step:]
+            reach += step
+        a = wider.T
+    return a

@@ -26,7 +26,7 @@ from engine_core.shading.closures import Transparent
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.fog_lanes import FogSegments
-from engine_core.transport.ray_rule import AlongRay, ScatteredAlongRay
+from engine_core.transport.ray_rule import AlongRay, PointsOfRay, ScatteredAlongRay
 from engine_core.transport.single_scattering import ScatteredLight, SingleScattering
 
 EDGE = 32
@@ -280,6 +280,23 @@ def test_whole_rays_are_unbiased_and_the_rule_is_near(lights, world, meshes):
         error = np.sqrt((np.square(deviation[channel]) / each).sum()) + 1e-5 * exact[channel].sum()
         assert abs(values[channel].mean(axis=1).sum() - exact[channel].sum()) < 4 * error
     assert integrand.counts["non-finite samples"] == 0
+
+
+@pytest.mark.parametrize("lights, world, meshes", CASES.values(), ids=CASES)
+def test_a_few_points_of_a_ray_are_unbiased(lights, world, meshes):
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], clip_end=5.0)
+    integrand = PointsOfRay(scattering)
+    rays = rays_of(integrand, 64)
+    exact = _dense(ScatteredAlongRay(scattering), rays, 3000)
+    before, each = integrand.counts["shadow rays"], 256
+    u = np.random.default_rng(4).random((1, len(rays), each))
+    values = integrand.rest(rays, None, u)[1].reshape(3, len(rays), each)
+    assert 0 < integrand.counts["shadow rays"] - before <= integrand.shadow_rays * len(rays) * each
+    for channel in range(3):
+        error = np.sqrt((values[channel].var(axis=1) / each).sum()) + 1e-5 * exact[channel].sum()
+        assert abs(values[channel].mean(axis=1).sum() - exact[channel].sum()) < 4 * error
+    last = integrand.rest(rays, None, np.full((1, len(rays), 1), np.nextafter(np.float32(1), 0)))[1]
+    assert np.isfinite(last).all() and integrand.counts["non-finite samples"] == 0
 
 
 @pytest.mark.parametrize("sampling", DISTANCE_SAMPLING)

@@ -85,6 +85,15 @@ def test_a_picture_is_the_sum_of_its_layers():
     np.testing.assert_array_equal(film.combined[..., 3], surface[..., 3])
 
 
+def test_fog_before_what_is_black_is_the_whole_picture():
+    film = render(scene(PointLight(300.0, position=OUTSIDE)), Settings(2, depth=True))
+    assert np.shares_memory(film.combined, film.layers[1].radiance) and film.volume.any()
+    np.testing.assert_array_equal(film.combined[..., :3], film.volume)
+    np.testing.assert_array_equal(film.combined[..., :3], film.control_variate + film.residual)
+    assert (film.combined[..., 3] == 1).all() and (film.layers[0].radiance == (0, 0, 0, 1)).all()
+    np.testing.assert_array_equal(film.sample_count, film.layers[1].sample_count + 1)
+
+
 def test_what_a_scene_lacks_is_never_entered():
     clear = replace(scene(PointLight(300.0, position=OUTSIDE)), world=World(), volumes=())
     assert parts_of(clear, DirectLight(clear), Settings(), lambda: None) == []

@@ -16,6 +16,9 @@ LARGEST = 1e37
 """What no pixel exceeds: a picture holds no Inf, however bright the scene."""
 
 
+OPAQUE = np.array([0, 0, 0, 1], np.float32)
+"""A black pixel."""
+
 SURFACE, VOLUME, LASER = "surface", "volume", "laser"
 """What layers of a picture show: light off surfaces and lamps, out of fog, and of lasers."""
 
@@ -71,11 +74,20 @@ class Film:
     stopped_by: str = "samples"
 
     @classmethod
-    def empty(cls, width: int, height: int, further: Sequence[str] = ()) -> Film:
-        """further : what layers show beside the surfaces'."""
+    def empty(cls, width: int, height: int, further: Sequence[str] = (), surfaces: bool = True) -> Film:
+        """further : what layers show beside the surfaces'. surfaces : whether these are more than black."""
         surface = Layer.empty(SURFACE, width, height, 4)
+        if not surfaces:
+            black = np.broadcast_to(OPAQUE, surface.radiance.shape)
+            surface.radiance = black if further else black.copy()
         # A picture of surfaces alone is its only layer.
         whole = Layer.empty(SURFACE, width, height, 4) if further else surface
+        layers = [surface, *(Layer.empty(shows, width, height) for shows in further)]
+        if not surfaces and len(further) == 1:
+            # As is one of what is before them, but for the counts.
+            only = layers[1]
+            only.radiance, only.control_variate = whole.radiance[..., :3], whole.control_variate
+            only.residual, only.standard_error = whole.residual, whole.standard_error
         return cls(
             whole.radiance,
             np.full((height, width), FAR, np.float32),
@@ -84,7 +96,7 @@ class Film:
             whole.control_variate,
             whole.residual,
             whole.standard_error,
-            [surface, *(Layer.empty(shows, width, height) for shows in further)],
+            layers,
         )
 
     def of_surfaces(self) -> Film:
@@ -109,8 +121,12 @@ class Film:
             return
         at = np.s_[y0:y1, x0:x1]
         self.combined[at][..., 3] = first.radiance[at][..., 3]
-        pairs = [(self.combined[..., :3], "radiance"), (self.control_variate, "control_variate")]
-        pairs += [(self.residual, "residual"), (self.sample_count, "sample_count")]
+        pairs = [(self.sample_count, "sample_count")]
+        if further[0].residual is self.residual:
+            errors = False
+        else:
+            pairs += [(self.combined[..., :3], "radiance"), (self.control_variate, "control_variate")]
+            pairs += [(self.residual, "residual")]
         for total, name in pairs:
             before = getattr(first, name)[..., :3] if name == "radiance" else getattr(first, name)
             for layer in further:

@@ -78,7 +78,8 @@ class NodeEvaluator:
                 "dn,d->n", place[: len(self._bins)].astype(np.uint64), NODE_KEYS[: len(self._bins)]
             )
             order = np.argsort(key, kind="stable")
-        step, count = max(1, BATCH // self.cost), place.shape[1]
+        batch = self._inner.batch if self._inner else BATCH
+        step, count = max(1, batch // self.cost), place.shape[1]
         parts = [slice(low, low + step) for low in range(0, count, step)]
 
         def evaluate(part: slice) -> tuple[np.ndarray, np.ndarray | None, int]:

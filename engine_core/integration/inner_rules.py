@@ -40,7 +40,12 @@ class Nodes:
 
 
 class InnerRule(ABC):
-    """A rule for the inner dimensions; a caller's own may adapt to each node."""
+    """A rule for the inner dimensions; a caller's own may adapt to each node.
+
+    batch : evaluations at once, about, that it is quick with.
+    """
+
+    batch = 1 << 14
 
     @abstractmethod
     def cost(self, dimensions: int) -> int:

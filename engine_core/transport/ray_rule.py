@@ -32,6 +32,9 @@ BISECTIONS = 6
 CHECKS = 16
 """Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
 
+RAY_POINTS = 8
+"""Of a ray that is not followed, but asked at a few points: other rays of its pixel differ more than that."""
+
 POINTS, POINTS_OF_PEAKS = 10, 16
 """Of the quadrature of what is smooth, in each piece of a lane; more where a phase function has a peak."""
 
@@ -85,7 +88,7 @@ class ScatteredAlongRay(Scattered):
         u = u.astype(np.float32)
         if lane is None and u.ndim == 3 and u.shape[2] > 1:
             lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
-        values, _ = self._estimate(rays, lane, u.reshape(2, -1))
+        values, _ = self._estimate(rays, lane, u.reshape(len(u), -1))
         return None, values
 
     def along(self, rays: FogRays, lane: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -225,8 +228,36 @@ class ScatteredAlongRay(Scattered):
         return seen if casts.all() else seen | ~casts
 
 
+class PointsOfRay(ScatteredAlongRay):
+    """The same light by points of each ray, one in each part of a lane: for pixels that an outline crosses.
+
+    Their rays differ by more than what is left to chance here, and these take a third of the shadow rays.
+    """
+
+    rest_dimensions = 1
+
+    def __init__(
+        self,
+        scattering: SingleScattering,
+        lights: np.ndarray | None = None,
+        check=lambda: None,
+        points: int = RAY_POINTS,
+    ) -> None:
+        """lights : as in `ScatteredAlongRay`. points : in each lane."""
+        super().__init__(scattering, lights, check, points, points)
+
+    def _integral(self, lanes: Lanes, nodes: int, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
+        s = (np.arange(nodes, dtype=np.float32)[:, None] + u[0]) / nodes
+        np.minimum(s, 1 - np.float32(2.0**-24), out=s)  # a sun's lane may have no end
+        value = lanes.smooth(s)
+        value *= self._seen(lanes, s)
+        return value.mean(axis=2, dtype=np.float64), None, None
+
+
 class AlongRay(InnerRule):
     """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
+
+    batch = 1 << 15  # many short calls for a ray
 
     def __init__(self, cost: int) -> None:
         """cost : of a node, in evaluations."""
@@ -280,12 +311,14 @@ class _Quadrature:
 
     def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
         """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,), or (J, X)."""
-        factor = np.tensordot(self._values, _legendre(s.astype(np.float32), len(self.at)), 1)
+        legendre = _legendre(s.astype(np.float32), len(self.at))
+        factor = np.einsum("qk,k...->q...", self._values, legendre)
         return np.einsum("gcqx,qx->gcx" if s.ndim == 1 else "gcqx,qjx->gcjx", values, factor)
 
     def integral(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
         """(..., X) their integrals from 0 to s (X,)."""
-        factor = self._integrals @ _legendre(s.astype(np.float32), len(self.at) + 1)
+        legendre = _legendre(s.astype(np.float32), len(self.at) + 1)
+        factor = np.einsum("qk,kx->qx", self._integrals, legendre)
         return (values * factor).sum(axis=-2)
 
 
@@ -327,9 +360,8 @@ class _Pieces:
         self.whole = _sums(lane, self._means(), n)
 
     def _means(self) -> np.ndarray:
-        # A product of two matrices each: many at once are not left to BLAS.
-        flat = self._values.reshape(-1, *self._values.shape[2:])
-        return np.stack([self._quadrature.weights @ one for one in flat]).reshape(*self._values.shape[:2], -1)
+        # Not by ``@``, as `integration.rules.weighted`.
+        return np.einsum("q,gcqn->gcn", self._quadrature.weights, self._values)
 
     def integral(self, lane: np.ndarray, s: np.ndarray) -> np.ndarray:
         """(G, C, X) integrals over lanes (X,) from 0 to s (X,)."""

@@ -35,14 +35,18 @@ def scenes(options: argparse.Namespace) -> Iterable[tuple[str, Scene]]:
             print(f"{name} is left out: --assets FOLDER with {dragon.MESH} is missing")
 
 
-def reference(name: str, scene: Scene, options: argparse.Namespace) -> np.ndarray:
-    """The converged picture, from the folder if it was made before."""
+def converged(name: str, scene: Scene, options: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
+    """Two pictures of different seeds, from the folder if they were made before."""
     width, height = options.size
     path = options.output / f"reference-{name}-{width}x{height}-{options.reference_samples}.npy"
     if options.anew or not path.exists():
-        film = render(scene, Settings(samples=options.reference_samples, seed=77, integrator="sobol"))
-        np.save(path, film.combined[..., :3])
-    return np.load(path).astype(np.float64)
+        films = (
+            render(scene, Settings(samples=options.reference_samples // 2, seed=seed, integrator="sobol"))
+            for seed in (77, 78)
+        )
+        np.save(path, [film.combined[..., :3] for film in films])
+    one, other = np.load(path).astype(np.float64)
+    return one, other
 
 
 def parse() -> argparse.Namespace:
@@ -57,8 +61,8 @@ def parse() -> argparse.Namespace:
     )
     add("--size", type=int, nargs=2, default=(320, 180), metavar=("WIDTH", "HEIGHT"))
     add("--samples", type=int, default=64,
-        help="of a pixel where methods spend the same; curves: up to four times that")  # fmt: skip
-    add("--reference-samples", type=int, default=4096)
+        help="of a pixel where methods spend the same, and where curves end")  # fmt: skip
+    add("--reference-samples", type=int, default=2048, help="of both converged pictures together")
     add("--anew", action="store_true", help="references again: the pictures have changed")
     add("--assets", type=Path, default=os.environ.get("CV_RENDER_ASSETS"), metavar="FOLDER",
         help="has the dragon's mesh (else: the environment's CV_RENDER_ASSETS)")  # fmt: skip
@@ -80,8 +84,8 @@ def main() -> None:
     tables = []
     for name, whole in scenes(options):
         scene = chapter.prepared(whole)
-        truth = reference(name, scene, options)
-        study = Study(name, scene, truth, options.samples, options.output)
+        halves = converged(name, scene, options)
+        study = Study(name, scene, halves, options.samples, options.output)
         for figure, (draw, shown) in chapter.FIGURES.items():
             if figure in options.figures and name in shown:
                 tables.append(draw(study))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -32,7 +32,7 @@ Details = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """picture : (H, W, 3), row 0 at the bottom. cost : rays, as words."""
+    """picture : (H, W, 3), row 0 at the bottom. seconds : of all processors. cost : rays, as words."""
 
     picture: np.ndarray
     seconds: float
@@ -49,17 +49,29 @@ Methods = Mapping[str, tuple[Method, Colour]]
 class Study:
     """One scene in a figure's hands.
 
-    truth : (H, W, 3), converged. samples : of a pixel, where all are equal. output : the folder.
+    halves : two converged pictures (H, W, 3) of different seeds. samples : of a pixel, where all are equal.
+    output : the folder.
     """
 
     name: str
     scene: Scene
-    truth: np.ndarray
+    halves: tuple[np.ndarray, np.ndarray]
     samples: int
     output: Path
+    _made: dict[tuple[str, int], Outcome] = field(default_factory=dict)
+
+    @property
+    def truth(self) -> np.ndarray:
+        return (self.halves[0] + self.halves[1]) / 2
+
+    def outcome(self, methods: Methods, name: str, samples: int) -> Outcome:
+        """What one of ``methods`` makes with so many samples; figures share it."""
+        if (name, samples) not in self._made:
+            self._made[name, samples] = methods[name][0](self.scene, samples, 1)
+        return self._made[name, samples]
 
     def error(self, outcome: Outcome) -> float:
-        return relative_error(outcome.picture, self.truth)
+        return relative_error(outcome.picture, *self.halves)
 
 
 # Ways to make a picture
@@ -92,13 +104,13 @@ def integrated(space: Callable[[Scene], OnScreen], **how: object) -> Method:
     """By `integrate`, of what ``space`` makes of a scene."""
 
     def method(scene: Scene, samples: int, seed: int) -> Outcome:
-        begin = time.perf_counter()
+        begin = time.process_time()
         f = space(scene)
         found = integrate(
             f, f.dimensions, (f.height, f.width), samples, seed=seed, dtype=np.float32, threads=0, **how
         )
         spent = found.evaluations / (f.width * f.height)
-        return Outcome(np.moveaxis(found.value, 0, -1), time.perf_counter() - begin, f"{spent:.1f} samples")
+        return Outcome(np.moveaxis(found.value, 0, -1), time.process_time() - begin, f"{spent:.1f} samples")
 
     return method
 
@@ -107,9 +119,9 @@ def rendered(**choices: object) -> Method:
     """By the renderer."""
 
     def method(scene: Scene, samples: int, seed: int) -> Outcome:
-        begin = time.perf_counter()
+        begin = time.process_time()
         film = render(scene, Settings(samples=samples, seed=seed, **choices))
-        seconds, pixels = time.perf_counter() - begin, film.depth.size
+        seconds, pixels = time.process_time() - begin, film.depth.size
         rays = (film.statistics[f"{kind} rays"] / pixels for kind in ("camera", "shadow"))
         return Outcome(
             film.combined[..., :3].astype(np.float64), seconds, "{:.1f} + {:.1f} rays".format(*rays)
@@ -118,8 +130,14 @@ def rendered(**choices: object) -> Method:
     return method
 
 
-def relative_error(picture: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.sqrt(np.mean((picture - truth) ** 2)) / truth.mean())
+def relative_error(picture: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    """Root mean square error over the mean.
+
+    The noise of the two converged pictures is independent, so the mean of the product of the differences
+    to them is the picture's mean square error alone.
+    """
+    square = np.mean((picture - one) * (picture - other))
+    return float(np.sqrt(max(square, 0.0)) / ((one + other) / 2).mean())
 
 
 # Pictures and curves
@@ -203,29 +221,36 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def equal_samples(study: Study, label: str, path: str, details: Details, methods: Methods) -> str:
     """Pictures of all methods side by side, with the same samples, and a table of them."""
     pictures, errors, rows = {}, {}, []
-    for name, (method, _) in methods.items():
-        outcome = method(study.scene, study.samples, 1)
+    for name in methods:
+        outcome = study.outcome(methods, name, study.samples)
         pictures[name], errors[name] = outcome.picture, study.error(outcome)
         mean = outcome.picture.mean() / study.truth.mean()
         rows.append(
             [study.name, name, f"{errors[name]:.4f}", f"{outcome.seconds:.2f}", outcome.cost, f"{mean:.4f}"]
         )
     side_by_side(study.output / path, details, {**pictures, "reference": study.truth}, errors)
-    head = (f"{label}, scene", "method", "relative RMSE", "seconds", "a pixel", "mean of the reference's")
+    head = (
+        f"{label}, scene",
+        "method",
+        "relative RMSE",
+        "processor seconds",
+        "a pixel",
+        "mean of the reference's",
+    )
     return table(head, rows)
 
 
 def curves(study: Study, label: str, path: str, methods: Methods) -> str:
-    """Error against samples, and against seconds."""
+    """Error against samples, and against processor seconds."""
     by_samples, by_seconds = {}, {}
-    counts = [n for n in SAMPLES if n <= 4 * study.samples]
-    for name, (method, _) in methods.items():
-        outcomes = [(n, method(study.scene, n, 2)) for n in counts]
+    counts = [n for n in SAMPLES if n <= study.samples]
+    for name in methods:
+        outcomes = [(n, study.outcome(methods, name, n)) for n in counts]
         found = [(n, outcome.seconds, study.error(outcome)) for n, outcome in outcomes]
         by_samples[name] = [(n, error) for n, _, error in found]
         by_seconds[name] = [(seconds, error) for _, seconds, error in found]
     colours = {name: colour for name, (_, colour) in methods.items()}
-    panels = {f"{study.name}: rmse over samples": by_samples, "rmse over seconds": by_seconds}
+    panels = {f"{study.name}: rmse over samples": by_samples, "rmse over processor seconds": by_seconds}
     log_log(study.output / f"{path}.png", panels, colours)
     (study.output / f"{path}.json").write_text(json.dumps(panels), "utf-8")
     rows = [

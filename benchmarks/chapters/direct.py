@@ -100,7 +100,7 @@ class PrimarySpace:
 
 def learned(scene: Scene, samples: int, seed: int) -> Outcome:
     """A quarter of the samples anywhere; the rest where a block of pixels has found light by these."""
-    begin, random = time.perf_counter(), np.random.default_rng(seed)
+    begin, random = time.process_time(), np.random.default_rng(seed)
     f = PrimarySpace(scene)
     pixels = np.stack(np.divmod(np.arange(f.width * f.height), f.width))
     columns = -(-f.width // BLOCK)
@@ -136,7 +136,7 @@ def learned(scene: Scene, samples: int, seed: int) -> Outcome:
         bin_ = np.clip(bin_, 0, bins - 1)
         total += drawn(bin_) / (chance[block, bin_] * bins)
     picture = (total / max(samples, 1)).T.reshape(f.height, f.width, 3)
-    return Outcome(picture, time.perf_counter() - begin, f"{samples:.1f} samples")
+    return Outcome(picture, time.process_time() - begin, f"{samples:.1f} samples")
 
 
 METHODS: Methods = {

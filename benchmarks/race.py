@@ -15,7 +15,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -32,6 +32,7 @@ from .engines.blender import (  # noqa: E402
     CV_RENDER,
     CYCLES,
     CYCLES_ADAPTIVE,
+    CYCLES_DENOISED,
     CYCLES_WITHOUT_TREE,
     INTEGRATORS,
     read_picture,
@@ -41,6 +42,8 @@ from .engines.mitsuba import Mitsuba, Unavailable  # noqa: E402
 
 TARGET_SAMPLES = 64
 """The errors to reach are the one that Cycles has with so many, and a third of it."""
+DENOISED_SAMPLES = 16
+"""That Cycles takes before it denoises: what a user in a hurry would pick."""
 ADAPTIVE_SAMPLES = 1024
 """That Cycles' adaptive sampling may spend on a pixel."""
 PIXELS_OF_SQUARE = 256 * 256
@@ -107,7 +110,8 @@ class Reference:
 class Curve:
     """What one engine needs for what error, in one scene at one size.
 
-    seconds, errors : by number of samples, one entry a repeat; errors by metric.
+    seconds, errors, means : by number of samples, one entry a repeat; errors by metric; means relative to
+        that of the engine's own converged picture.
     first, second : seconds of the first two renders of the scene, at the fewest samples.
     """
 
@@ -116,10 +120,12 @@ class Curve:
     second: float = 0.0
     seconds: dict[int, list[float]] = field(default_factory=dict)
     errors: dict[int, list[dict[str, float]]] = field(default_factory=dict)
+    means: dict[int, list[float]] = field(default_factory=dict)
 
-    def add(self, samples: int, seconds: float, errors: dict[str, float]) -> None:
+    def add(self, samples: int, seconds: float, errors: dict[str, float], mean: float = 1.0) -> None:
         self.seconds.setdefault(samples, []).append(seconds)
         self.errors.setdefault(samples, []).append(errors)
+        self.means.setdefault(samples, []).append(mean)
 
     def at(self, samples: int, metric: str = "all") -> tuple[float, float]:
         """The fastest seconds (other work on the machine only adds), and root mean square error."""
@@ -202,6 +208,7 @@ class Race:
     def entrants(self) -> list[Engine]:
         """The engines that can render the open scene; says why one can't."""
         engines: list[Engine] = [CYCLES, CYCLES_WITHOUT_TREE]
+        engines += [CYCLES_DENOISED] if self.options.denoised else []
         engines += [INTEGRATORS[name] for name in self.options.integrators] or [CV_RENDER]
         if self.options.mitsuba:
             try:
@@ -211,6 +218,8 @@ class Race:
         return engines
 
     def sample_counts(self, engine: Engine) -> Sequence[int]:
+        if engine is CYCLES_DENOISED:
+            return (DENOISED_SAMPLES,)
         if engine.family == "cycles":
             return (4, TARGET_SAMPLES)
         return Mitsuba.sample_counts if isinstance(engine, Mitsuba) else self.options.samples
@@ -237,20 +246,26 @@ class Race:
         return curves, references
 
     def _measure(self, engine: Engine, curves: dict[str, Curve], reference: Reference, seed: int) -> None:
-        """One repeat of one engine, up to a third of Cycles' error or as long as it is not hopeless."""
+        """One repeat of one engine, up to its goal or as long as it is not hopeless.
+
+        The goal is a third of Cycles' error, and where one is asked for, that error.
+        """
         cycles = curves[CYCLES.name]
         for samples in self.sample_counts(engine):
             if isinstance(engine, Mitsuba) and samples not in curves[engine.name].seconds:
                 engine.render(samples, seed, self.picture)  # compiles its kernels: warm from now on
             seconds = engine.render(samples, seed, self.picture)
-            errors = reference.errors(read_picture(self.picture))
-            curves[engine.name].add(samples, seconds, errors)
+            picture = read_picture(self.picture)
+            errors, mean = reference.errors(picture), float(picture.mean() / reference.picture.mean())
+            curves[engine.name].add(samples, seconds, errors, mean)
             print(f"  {engine.name:28} {samples:4} samples {seconds:8.3f} s  error {errors['all']:.5f}"
-                  f"  without the brightest {errors['dim']:.5f}")  # fmt: skip
+                  f"  without the brightest {errors['dim']:.5f}  mean {mean:.5f}")  # fmt: skip
             if engine.family == "cycles":
                 continue
             time, _ = cycles.at(TARGET_SAMPLES)
             done = all(errors[metric] < 0.9 / 3 * cycles.at(TARGET_SAMPLES, metric)[1] for metric in METRICS)
+            if self.options.until is not None:
+                done &= errors["all"] < 0.9 * self.options.until
             if done or seconds > 4 * time:
                 break
 
@@ -289,6 +304,7 @@ def race(blend: Path, size: tuple[int, int], options: argparse.Namespace) -> dic
         "mean and RMS difference to Cycles": agreement,
         "ratios": [ratios(where, curve, curves[CYCLES.name]) for curve in curves.values()],
         "absolute": [absolute(where, curve, size[0] * size[1]) for curve in curves.values()],
+        "denoised": denoised(where, curves),
     }
 
 
@@ -335,6 +351,43 @@ ABSOLUTE = (
 )  # fmt: skip
 
 
+def denoised(where: str, curves: Mapping[str, Curve]) -> list[list[str]]:
+    """Each engine of ours beside Cycles with few samples and OpenImageDenoise, if that has run."""
+    if CYCLES_DENOISED.name not in curves:
+        return []
+    rival = curves[CYCLES_DENOISED.name]
+    budget, goal = rival.at(DENOISED_SAMPLES)
+
+    def of(curve: Curve, samples: int) -> str:
+        (seconds, error), (_, dim) = curve.at(samples), curve.at(samples, "dim")
+        mean = float(np.mean(curve.means[samples]))
+        return f"{samples}: {seconds:.2f} s, {error:.4f} ({dim:.4f}), {mean:.4f}"
+
+    rows = []
+    for name, curve in curves.items():
+        if not name.startswith(CV_RENDER.name):
+            continue
+        within = [samples for samples in curve.seconds if curve.at(samples)[0] <= budget]
+        time, sure = curve.time_to(goal)
+        reached = f"{'' if sure else '~'}{time:.2f} s: **{'' if sure else '~'}{budget / time:.1f} x**"
+        rows.append(
+            [
+                where,
+                name,
+                of(rival, DENOISED_SAMPLES),
+                of(curve, max(within, default=min(curve.seconds))),
+                reached,
+            ]
+        )
+    return rows
+
+
+DENOISED = (
+    "scene", "engine", "Cycles with OpenImageDenoise; samples: seconds, error (without the brightest), mean",
+    "the engine in no more time, or by its fewest samples", "the engine to that error",
+)  # fmt: skip
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows))
 
@@ -352,7 +405,8 @@ def machine() -> str:
 def report(results: Sequence[dict[str, object]], options: argparse.Namespace) -> str:
     tables = [
         table(head, (row for result in results for row in result[key]))
-        for head, key in ((RATIOS, "ratios"), (ABSOLUTE, "absolute"))
+        for head, key in ((RATIOS, "ratios"), (ABSOLUTE, "absolute"), (DENOISED, "denoised"))
+        if any(result[key] for result in results)
     ]
     head = (
         f"{machine()}; the fastest of {options.repeats} renders each, of different seeds; ~ is extrapolated."
@@ -390,6 +444,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     add("--without-brightest", type=int, metavar="N", default=100,
         help="pixels, of each 256 x 256, that the second metric leaves out (100)")  # fmt: skip
     add("--no-adaptive", dest="adaptive", action="store_false", help="leave out Cycles' adaptive sampling")
+    add("--no-denoised", dest="denoised", action="store_false", help="leave out Cycles with OpenImageDenoise")
+    add("--until", type=float, metavar="ERROR", help="go on until this error is reached as well")
     add("--no-mitsuba", dest="mitsuba", action="store_false")
     add("--anew", action="store_true", help="CV Render's converged pictures again: its pictures have changed")
     add("--quick", action="store_true", help="one repeat at 320x180, short references, Cycles as it comes")

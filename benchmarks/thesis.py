@@ -15,7 +15,7 @@ from engine_core import Scene, Settings, render
 from example_blends import dragon, green_dragon
 
 from .chapters import direct, fog
-from .chapters.common import Study
+from .chapters.common import Study, own_error
 from .scenes import core
 
 FOLDER = dev.PRIVATE / "thesis"
@@ -85,6 +85,7 @@ def main() -> None:
     for name, whole in scenes(options):
         scene = chapter.prepared(whole)
         halves = converged(name, scene, options)
+        print(f"{name}: the converged picture's own error is {own_error(*halves):.4f}", flush=True)
         study = Study(name, scene, halves, options.samples, options.output)
         for figure, (draw, shown) in chapter.FIGURES.items():
             if figure in options.figures and name in shown:

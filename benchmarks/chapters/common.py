@@ -140,6 +140,11 @@ def relative_error(picture: np.ndarray, one: np.ndarray, other: np.ndarray) -> f
     return float(np.sqrt(max(square, 0.0)) / ((one + other) / 2).mean())
 
 
+def own_error(one: np.ndarray, other: np.ndarray) -> float:
+    """Root mean square error, over the mean, of the mean of two pictures of different seeds."""
+    return float(np.sqrt(np.mean((one - other) ** 2)) / (one + other).mean())
+
+
 # Pictures and curves
 
 

@@ -24,6 +24,7 @@ class BlenderEngine:
     engine : Blender's name of it.
     light_tree : Cycles' choice of lights by a tree (its default), or by their power.
     noise_threshold : of Cycles' adaptive sampling; 0 is without it.
+    denoise : by OpenImageDenoise in Cycles, as it comes (with albedo and normals, prefiltered).
     integrator : CV Render's.
     """
 
@@ -31,6 +32,7 @@ class BlenderEngine:
     engine: str
     light_tree: bool = True
     noise_threshold: float = 0.0
+    denoise: bool = False
     integrator: str = Settings().integrator
 
     @property
@@ -48,6 +50,9 @@ class BlenderEngine:
             cycles.use_light_tree = self.light_tree
             cycles.use_adaptive_sampling = self.noise_threshold > 0
             cycles.adaptive_threshold = self.noise_threshold
+            cycles.use_denoising = self.denoise
+            if self.denoise:
+                cycles.denoiser = "OPENIMAGEDENOISE"
         else:
             scene.render.engine = self.engine
             scene.cv_render.samples, scene.cv_render.seed = samples, seed
@@ -61,6 +66,7 @@ class BlenderEngine:
 CYCLES = BlenderEngine("Cycles", "CYCLES")
 CYCLES_WITHOUT_TREE = BlenderEngine("Cycles, no light tree", "CYCLES", light_tree=False)
 CYCLES_ADAPTIVE = BlenderEngine("Cycles, adaptive (0.01)", "CYCLES", noise_threshold=0.01)
+CYCLES_DENOISED = BlenderEngine("Cycles, OpenImageDenoise", "CYCLES", denoise=True)
 CV_RENDER = BlenderEngine("CV Render", "CV_RENDER")
 INTEGRATORS = {
     name: BlenderEngine(f"CV Render, {name.replace('_', ' ')}", "CV_RENDER", integrator=name)

@@ -31,7 +31,7 @@ class Mitsuba:
     """The open Blender scene in Mitsuba's `direct` integrator with multijittered samples."""
 
     name, family = "Mitsuba 3 (LLVM)", "mitsuba"
-    sample_counts = (16, 64, 144)
+    sample_counts = (16, 64, 144, 324, 729)
     """Its multijittered sampler takes squares only."""
 
     def __init__(self, python: str, folder: Path) -> None:

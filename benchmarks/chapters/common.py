@@ -49,7 +49,7 @@ Methods = Mapping[str, tuple[Method, Colour]]
 class Study:
     """One scene in a figure's hands.
 
-    halves : two converged pictures (H, W, 3) of different seeds. samples : of a pixel, where all are equal.
+    halves : two converged pictures (H, W, 3), independent. samples : of a pixel, where all are equal.
     output : the folder.
     """
 
@@ -131,17 +131,17 @@ def rendered(**choices: object) -> Method:
 
 
 def relative_error(picture: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-    """Root mean square error over the mean.
+    """Root mean square error over the mean; NaN where the converged pictures are too noisy to tell it.
 
     The noise of the two converged pictures is independent, so the mean of the product of the differences
     to them is the picture's mean square error alone.
     """
     square = np.mean((picture - one) * (picture - other))
-    return float(np.sqrt(max(square, 0.0)) / ((one + other) / 2).mean())
+    return float(np.sqrt(square) / ((one + other) / 2).mean()) if square > 0 else np.nan
 
 
 def own_error(one: np.ndarray, other: np.ndarray) -> float:
-    """Root mean square error, over the mean, of the mean of two pictures of different seeds."""
+    """Root mean square error, over the mean, of the mean of two independent pictures."""
     return float(np.sqrt(np.mean((one - other) ** 2)) / (one + other).mean())
 
 
@@ -186,6 +186,7 @@ def log_log(path: Path, panels: Mapping[str, Mapping[str, Points]], colours: Map
     w, h, gap, left, top = 330, 300, 62, 62, 30
     canvas = Canvas(left + len(panels) * (w + gap), top + h + 46 + 22 * len(colours))
     for number, (title, curves) in enumerate(panels.items()):
+        curves = {label: [p for p in curve if np.isfinite(p).all()] for label, curve in curves.items()}
         points = np.log10(np.array([point for curve in curves.values() for point in curve]))
         low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
         x0 = left + number * (w + gap)
@@ -204,7 +205,7 @@ def log_log(path: Path, panels: Mapping[str, Mapping[str, Points]], colours: Map
                 canvas.text(*where, f"1e{power}", anchor=0.5 if axis == 0 else 1)
         canvas.box(x0, top, x0 + w, top + h, GREY)
         for label, curve in curves.items():
-            places = np.array([place(point) for point in np.log10(np.array(curve))])
+            places = [place(np.log10(point)) for point in curve]
             if len(places) > 1:
                 canvas.line(places, colours[label], 2)
             for x, y in places:

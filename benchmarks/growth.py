@@ -156,11 +156,13 @@ def main() -> None:
     add("--only", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
     add("--largest", type=int, metavar="N", help="leave out larger numbers of pixels² and all else")
     add("--repeats", type=int, default=3)
+    add("--size", type=int, default=256, metavar="N", help="pixels along an edge while others grow")
     add("-o", "--output", type=Path, default=FOLDER, metavar="FOLDER")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     for title in options.scene:
         subject, rows, curves = SUBJECTS[title], [], {}
+        subject = replace(subject, base={**subject.base, "pixels": options.size})
         for name in [name for name in subject.values if name in options.only]:
             values = subject.values[name]
             if options.largest:

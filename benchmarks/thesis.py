@@ -96,9 +96,7 @@ def main() -> None:
         scene = chapter.prepared(whole)
         halves = converged(name, scene, options)
         own, bias = own_error(*halves), halves[1].mean() / halves[0].mean() - 1
-        print(
-            f"{name}: the converged pictures' own error is {own:.4f}, their means differ by {100 * bias:+.3f} %"
-        )
+        print(f"{name}: the converged pictures' own error is {own:.4f}, means differ by {100 * bias:+.3f} %")
         study = Study(name, scene, halves, options.samples, options.output)
         for figure, (draw, shown) in chapter.FIGURES.items():
             if figure in options.figures and name in shown:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.chapters import fog
+from benchmarks.chapters.common import own_error, relative_error
 from benchmarks.chapters.direct import PrimarySpace
 from benchmarks.scenes import fog_chart
 from benchmarks.scenes.core import FOGS, MODELS, example, scene
@@ -207,3 +208,28 @@ def test_every_light_meets_every_fog_depth_and_anisotropy() -> None:
     assert len({(cell.fog, cell.g) for cell in cells}) == len(fog_chart.FOGS) * len(gs)
     assert len({(cell.fog, cell.depth) for cell in cells}) == len(fog_chart.FOGS) * len(depths)
     assert len({(cell.g, cell.depth) for cell in cells}) == len(gs) * len(depths)
+
+
+def test_an_error_is_told_through_the_noise_of_converged_pictures() -> None:
+    random = np.random.default_rng(4)
+    shape, own, error = (200, 200, 3), 0.05, 0.01
+    truth = 1 + random.random(shape)
+    one, other = (truth + own * random.standard_normal(shape) for _ in range(2))
+    picture = truth + error * random.standard_normal(shape)
+    mean = truth.mean()
+    # The mean of products of n pairs is off by own^2 / sqrt(n).
+    bound = 4 * own**2 / np.sqrt(truth.size)
+    assert abs((relative_error(picture, one, other) * mean) ** 2 - error**2) < bound
+    assert abs(own_error(one, other) * mean - own / np.sqrt(2)) < 4 * own / np.sqrt(truth.size)
+    assert np.isnan(relative_error(truth, truth + own, truth - own))
+
+
+@pytest.mark.parametrize("name", ["lighthouse", "laser"])
+def test_quadrature_along_rays_makes_the_same_picture(name: str) -> None:
+    """Whatever else is sampled: places on lights, and beams."""
+    scene_ = fog.prepared(example(name, 16, 9))
+    method, _ = (fog.LASER_METHODS if name == "laser" else fog.METHODS)["quadrature"]
+    wanted = render(scene_, Settings(samples=512, integrator="sobol", threads=1)).combined[..., :3]
+    found = [method(scene_, 4 * fog.POINT_OF_QUADRATURE, seed).picture.mean() for seed in range(8)]
+    spread = np.std(found, ddof=1) / np.sqrt(len(found))
+    assert abs(np.mean(found) - wanted.mean()) < 4 * spread + 0.02 * wanted.mean()

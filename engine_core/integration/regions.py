@@ -211,7 +211,7 @@ def neighbourly(density: np.ndarray, regions: Regions, nodes: int, map_: Map) ->
     map_ : runs a function over items on workers.
     """
     # In two parts however many workers there are, so that sums are the same to the last bit.
-    middle = len(density) // 2
+    middle = (len(density) + 1) // 2  # of nothing bincount would count in integers
     parts = [slice(0, middle), slice(middle, None)]
 
     def summed(part: slice) -> tuple[np.ndarray, np.ndarray]:

@@ -59,19 +59,13 @@ MANY = 16
 """Lights whose errors even out: of more, whole rays are fewer by the root of their number."""
 
 VISIBLE = 0.08
-"""`OverScreen.visible`, but for lasers."""
+"""`OverScreen.visible`."""
 
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
-BEAM_SPLIT = 4
-"""The same beside beams of lasers."""
-
-WORTH = 8
-"""Points of a laser's net that count as one of `Settings.samples`."""
-
-BY_CHANCE = 0.16
-"""`OverScreen.visible` of lasers, whose nets have steps that would have everything sampled."""
+LASER_POINTS = 32
+"""Of the net of a laser, for each of `Settings.samples`."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -133,6 +127,19 @@ class OverScreen:
 
 
 @dataclass(frozen=True, eq=False)
+class OverNet:
+    """An integral by a net of points that are followed over the picture, each for itself.
+
+    integrand : all of it. points : of the net. outlines, elsewhere : as in `OverScreen`.
+    """
+
+    integrand: StagedIntegrand
+    points: int
+    outlines: Callable[[Region, Map], np.ndarray]
+    elsewhere: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class AroundLights:
     """Fog in the pixels about lights that the camera sees.
 
@@ -160,7 +167,7 @@ class Part:
     shows: str
     plain: StagedIntegrand
     split: int
-    by: OverScreen | Seen | AroundLights
+    by: OverScreen | OverNet | Seen | AroundLights
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
@@ -207,24 +214,13 @@ def _by_net(
     integrand: StagedIntegrand,
     settings: Settings,
     outlines: Callable[[Region, Map], np.ndarray],
-    elsewhere: np.ndarray | None = None,
-    split: int = SPLIT,
-    worth: int = 1,
-    visible: float = VISIBLE,
-    many: float = 1.0,
+    elsewhere: np.ndarray | None,
 ) -> OverScreen:
-    """worth : points of a net that count as one of `Settings.samples`.
-
-    visible : as in `OverScreen`. many : of how many integrals it is the sum, whose errors even out.
-    """
     # The net's own error falls as 1 / points, and should stay below that of all else.
-    wanted = np.log2(settings.samples * worth / many) / 2 + 4
-    least = np.maximum(np.log2(POINTS) - np.log2(many) / 2, np.log2(FEW_POINTS))
-    points = 1 << int(np.clip(max(wanted, least), 0, 10))
+    points = 1 << int(np.clip(np.log2(settings.samples) / 2 + 4, np.log2(POINTS), 10))
     inside = Integrated(integrand, points, settings.seed)
     fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
-    rays = max(1, points // worth)
-    return OverScreen(inside, None, inside, rays, integrand, split, outlines, elsewhere, fresh, visible)
+    return OverScreen(inside, None, inside, points, integrand, SPLIT, outlines, elsewhere, fresh)
 
 
 def _of_fog(
@@ -320,9 +316,7 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = _by_net(
-            fog, settings, beside(fog.stretches), None, BEAM_SPLIT, WORTH, BY_CHANCE, _many(fog.stretches)
-        )
+        by = OverNet(fog, _points_of(fog.stretches, settings), beside(fog.stretches))
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -334,16 +328,12 @@ def _of_lasers(
                 parts.append(
                     Part("surfaces where lasers end", LASER, own[0], 1, AroundLights(found, own, none, none))
                 )
-        by = _by_net(
-            lit,
-            settings,
-            beside(lit.stretches),
-            elsewhere,
-            BEAM_SPLIT,
-            WORTH,
-            BY_CHANCE,
-            _many(lit.stretches),
-        )
+        near = beside(lit.stretches)
+
+        def and_creases(region: Region, map_: Map) -> np.ndarray:
+            return near(region, map_) | lit.creases(region, map_)
+
+        by = OverNet(lit, _points_of(lit.stretches, settings), and_creases, elsewhere)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:
@@ -351,6 +341,12 @@ def _of_lasers(
         touched, means = (tuple(partial(f, **kind) for kind in kinds) for f in (seen.touched, seen.means))
         parts.append(Part("lasers seen", LASER, seen, 1, Seen(touched, means, SEEN_POINTS)))
     return parts
+
+
+def _points_of(stretches: Sequence[Stretch], settings: Settings) -> int:
+    """Points of a net of several lasers, whose errors even out; a power of two."""
+    wanted = LASER_POINTS * settings.samples / np.sqrt(_many(stretches))
+    return 1 << max(round(np.log2(wanted)), int(np.log2(FEW_POINTS)))
 
 
 def _many(stretches: Sequence[Stretch]) -> float:

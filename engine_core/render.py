@@ -23,8 +23,9 @@ from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
+from .net_picture import NetPicture
 from .part_pictures import AroundLightsPicture, SeenPicture
-from .parts import AroundLights, OverScreen, Part, Seen, parts_of
+from .parts import AroundLights, OverNet, OverScreen, Part, Seen, parts_of
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
@@ -40,7 +41,12 @@ PREPARED_SAMPLES = 1024
 BLOCK = 16
 """Edge in pixels of the blocks that the noise threshold stops."""
 
-PICTURES = {OverScreen: ScreenPicture, Seen: SeenPicture, AroundLights: AroundLightsPicture}
+PICTURES = {
+    OverScreen: ScreenPicture,
+    OverNet: NetPicture,
+    Seen: SeenPicture,
+    AroundLights: AroundLightsPicture,
+}
 """What makes a part's layer."""
 
 DEPTH_ROWS = 16

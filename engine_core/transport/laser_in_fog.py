@@ -178,20 +178,31 @@ class LaserInFog(Scattered):
         self._check()
         split = u.shape[2] if lane is None else run(lane)
         rows, which = rays.segments(None if lane is None else lane[::split])
-        segments = RaySegments.of(rays, self.media).take(rows)
+        every = RaySegments.of(rays, self.media)
+        segments = every.take(rows)
         u = np.asarray(u, np.float64).reshape(2, -1, split)
         out = np.zeros((3, *u.shape[1:]), np.float32)
-        if not np.array_equal(which, np.arange(u.shape[1])):
+        if len(which) != u.shape[1] or not (which == np.arange(len(which))).all():
             u = u.take(which, axis=1)
         for stretch in self.stretches:
-            self._add(out, which, segments, stretch, u)
+            p = every.passage(stretch)
+            if not isinstance(rows, slice):
+                p = p.take(rows)
+            self._add(out, which, segments, stretch, p.columns(), u)
         return None, self._bounded(out.reshape(3, -1))
 
     def _add(
-        self, out: np.ndarray, which: np.ndarray, segments: RaySegments, stretch: Stretch, u: np.ndarray
+        self,
+        out: np.ndarray,
+        which: np.ndarray,
+        segments: RaySegments,
+        stretch: Stretch,
+        p: Passage,
+        u: np.ndarray,
     ) -> None:
-        """Add to light (3, M, S) of rays ``which`` (K,) what K segments get of a stretch at u (2, K, S)."""
-        p = segments.passage(stretch).columns()
+        """Add to light (3, M, S) of rays ``which`` (K,) what K segments get of a stretch, which they pass
+        in ``p``, at u (2, K, S).
+        """
         v, dv = along_beam(p, u[0])
         x, r, weight = self._map(p, v, u[1])
         weight = (weight * dv).astype(np.float32)

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..geometry.vectors import dot, inverse_length, take
 from ..integration.integrand import FirstStage
+from ..integration.mapping import Map
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _inset
 from .laser_maps import LEAST_DISTANCE, at_half_angle, half_angles
@@ -28,6 +29,12 @@ from .lasers import Lasers, Stretch, halves, scattered
 from .media import Media
 from .shadows import Shadows
 from .single_scattering import run
+
+BEND = 0.9
+"""Cosine between the normals at two corners of a pixel, below which there is a crease."""
+
+ROWS = 32
+"""Of the picture, traced at once for creases."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +163,31 @@ class LaserOnSurfaces:
             for row, channel in zip(out, value, strict=True):
                 row += np.bincount(which.take(lit), channel, len(row)).astype(np.float32)
         return None, out
+
+    def creases(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
+        """(W, H) bool, pixels of a region x0, y0, x1, y1 between whose corners a surface turns, or ends.
+
+        map_ : runs a function over items on the workers, and returns the results in order.
+        """
+        x0, y0, x1, y1 = region
+        width, height = x1 - x0, y1 - y0
+
+        def trace(low: int) -> np.ndarray:
+            y, x = (a.ravel() for a in np.mgrid[low : min(low + ROWS, y1 + 1), x0 : x1 + 1])
+            at = np.minimum(x, x1 - 1), np.minimum(y, y1 - 1)
+            pixels = Pixels(*(a.astype(np.int32) for a in at), np.zeros(len(x), np.int32))
+            hits = self.first(pixels, np.stack([x - at[0], y - at[1]]).astype(np.float32)[:, :, None])
+            normal = np.zeros((3, len(x)), np.float32)
+            normal[:, slice(None) if hits.lane is None else hits.lane] = hits.normal
+            return normal.reshape(3, -1, width + 1)
+
+        normal = np.concatenate(map_(trace, range(y0, y1 + 1, ROWS)), axis=1)
+        found = np.zeros((height, width), bool)
+        bends = dot(normal[:, 1:], normal[:, :-1]) < BEND
+        found |= bends[:, 1:] | bends[:, :-1]
+        bends = dot(normal[:, :, 1:], normal[:, :, :-1]) < BEND
+        found |= bends[1:] | bends[:-1]
+        return found.T
 
     def finite(self, value: np.ndarray) -> np.ndarray:
         """``value`` (3, N) with 0 in place of what is not finite, which is counted."""

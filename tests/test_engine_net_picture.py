@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A net whose points are followed over the picture: unbiased, whatever lies between corners."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from engine_core import Settings
+from engine_core import net_picture as module
+from engine_core.image.film import LASER, Layer
+from engine_core.net_picture import NetPicture
+from engine_core.parts import OverNet
+from engine_core.transport.camera_hits import Pixels
+
+WIDTH, HEIGHT = 22, 13  # no multiples of a cell
+
+
+class Place:
+    values = None
+
+    def __init__(self, x: np.ndarray, y: np.ndarray) -> None:
+        # No ray at all where x is large, as where a camera ray meets no fog.
+        self.lane = np.flatnonzero(x < WIDTH - 2.5)
+        self.x, self.y = x[self.lane], y[self.lane]
+
+
+class Broken:
+    """Bright up to an edge in u[0] that moves over the picture, and in one thin stripe of u[1] and x."""
+
+    rest_dimensions = 2
+    counts: Counter[str] = Counter()
+
+    def first(self, pixels: Pixels, u: np.ndarray) -> Place:
+        x, y = (a[:, None] + b for a, b in zip((pixels.x, pixels.y), u, strict=True))
+        return Place(x.ravel(), y.ravel())
+
+    def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+        if lane is None:
+            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+        x, y = stage.x.take(lane), stage.y.take(lane)
+        u = u.reshape(2, -1)
+        bright = (1 + u[1] * y / HEIGHT) * (u[0] < 0.2 + 0.6 * x / WIDTH)
+        bright += 3 * (np.abs(x - 9.3 - u[1]) < 0.3)
+        return None, np.stack([bright, 2 * bright, 0 * bright]).astype(np.float32)
+
+    @staticmethod
+    def truth() -> np.ndarray:
+        """(H, W) means over pixels of the first channel, by a fine grid."""
+        n = 200
+        inner = (np.arange(n) + 0.5) / n
+        x, y = np.arange(WIDTH)[:, None] + inner, np.arange(HEIGHT) + 0.5
+        seen = x < WIDTH - 2.5
+        edge = ((0.2 + 0.6 * x / WIDTH) * seen).mean(axis=1)
+        stripe = np.clip(x - 9.3 + 0.3, 0, 1) - np.clip(x - 9.3 - 0.3, 0, 1)
+        return (1 + 0.5 * y / HEIGHT)[:, None] * edge + 3 * (stripe * seen).mean(axis=1)
+
+
+def picture(seed: int, samples: int = 32, integrator: str = "control_variates", map_=None) -> Layer:
+    layer = Layer.empty(LASER, WIDTH, HEIGHT)
+
+    def outlines(region: tuple[int, int, int, int], _: Any) -> np.ndarray:
+        found = np.zeros((WIDTH, HEIGHT), bool)
+        found[17, 5] = True
+        return found
+
+    by = OverNet(Broken(), samples, outlines)
+    settings = Settings(1, seed=seed, integrator=integrator)
+    made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
+    made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: False)
+    return layer
+
+
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_the_mean_over_seeds_is_the_truth(rounds, monkeypatch):
+    if rounds > 1:
+        monkeypatch.setattr(module, "MOST_POINTS", 12)
+    seeds = np.array([picture(seed).radiance for seed in range(120)], np.float64)
+    np.testing.assert_allclose(seeds[..., 1], 2 * seeds[..., 0], rtol=1e-4, atol=1e-5)
+    assert not seeds[..., 2].any()
+    mean, truth = seeds[..., 0].mean(axis=0), Broken.truth()
+    error = seeds[..., 0].std(axis=0, ddof=1) / np.sqrt(len(seeds))
+    z = (mean - truth) / np.maximum(error, 1e-4)
+    assert np.abs(z).max() < 5 and np.sqrt(np.square(z).mean()) < 1.25
+    whole = seeds[..., 0].mean(axis=(1, 2))
+    assert abs(whole.mean() - truth.mean()) < 3 * whole.std() / np.sqrt(len(seeds))
+    # Left of the stripe: as many points by chance, of 0.2 to 0.45 that is lit, have 0.08.
+    assert np.median(seeds[..., :7, 0].std(axis=0)) < 0.05
+
+
+def test_terms_add_up_and_order_changes_nothing():
+    one = picture(5)
+    other = picture(5, map_=lambda f, items: [f(item) for item in list(items)[::-1]][::-1])
+    for name in ("radiance", "control_variate", "residual", "standard_error", "sample_count"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_allclose(one.radiance, one.control_variate + one.residual, rtol=1e-5, atol=1e-6)
+    assert np.isfinite(one.standard_error).all() and (one.standard_error[:, : WIDTH - 4] > 0).all()
+
+
+def test_polynomials_alone_take_no_samples():
+    layer = picture(5, 256, "cv_only")
+    assert not layer.residual.any() and not layer.sample_count.any()
+    truth = Broken.truth()[:, :8]
+    assert np.abs(layer.radiance[:, :8, 0] - truth).max() < 0.1 * truth.max()
+
+
+def test_the_standard_error_is_of_the_errors_size():
+    seeds = [picture(seed) for seed in range(60)]
+    found = np.array([layer.radiance[..., :2].mean(axis=2) for layer in seeds]).std(axis=0)
+    told = np.sqrt(np.mean([np.square(layer.standard_error[..., 0]) for layer in seeds], axis=0)) * 1.5
+    # Pixels between the ends of the stripe and of what is seen.
+    ratio = told[:, :7].mean() / found[:, :7].mean()
+    assert 0.4 < ratio < 2.5

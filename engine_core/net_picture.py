@@ -162,7 +162,7 @@ class NetPicture:
             np.append(np.arange(start, end, CELL), end) for start, end in ((0, self._width), (low, high))
         )
         values = self._at_corners(columns, rows)
-        means = values.mean(axis=3, dtype=np.float64).reshape(3, -1)
+        means = values.mean(axis=3, dtype=np.float64)
         chance, spread = _chances(values.sum(axis=0))
         # Where most must be asked, different places in a pixel might have to be, too.
         served = self._served[low:high]
@@ -178,19 +178,18 @@ class NetPicture:
         size = np.diff(columns).take(column), np.diff(rows).take(row)
         corner = row * len(columns) + column
         corners = np.stack([corner, corner + 1, corner + len(columns), corner + len(columns) + 1])
-        # The mean over a pixel of what is linear in x and in y is that of its middle.
-        weights = _bilinear((inner[0] + 0.5) / size[0], (inner[1] + 0.5) / size[1])
-        h = sum(means.take(c, axis=1) * w for c, w in zip(corners, weights, strict=True))
+        h = _at_middles(means, high - low, self._width)[:, y, x]
         residual, variance = np.zeros_like(h), spread[row, column] / self._points**1.5
         if not self._alone:
             values = np.ascontiguousarray(values.reshape(3, -1).T)  # (corners * N, 3)
             cell = row * (len(columns) - 1) + column
             chance = chance.reshape(-1, self._points)
+            due = np.cumsum(chance, axis=1, dtype=np.uint16)
             rays = np.cumsum(chance.mean(axis=1).take(cell) * (self._points / SURE))
             firsts = np.searchsorted(rays, np.arange(0, rays[-1] + 1, BATCH)) if len(rays) else []
             for part in map(slice, firsts, [*firsts[1:], len(x)]):
                 where = x[part], y[part] + low, [a[part] for a in inner], [a[part] for a in size]
-                found = self._asked(*where, corners[:, part], cell[part], values, chance)
+                found = self._asked(*where, corners[:, part], cell[part], values, chance, due)
                 residual[:, part] = found[:3]
                 variance[part] += found[3]
         y += low
@@ -238,11 +237,12 @@ class NetPicture:
         cell: np.ndarray,
         values: np.ndarray,
         chance: np.ndarray,
+        due: np.ndarray,
     ) -> np.ndarray:
         """(4, B) f - P at random places of pixels (B,), three channels, and the variance that chance makes.
 
         inner, size : of each, its place in its cell, and the cell's size. corners : (4, B), rows of values
-        (corners * N, 3). cell : (B,), rows of chance (cells, N).
+        (corners * N, 3). cell : (B,), rows of chance (cells, N), and of due, its running sums.
         """
         if len(x) == 0:
             return np.zeros((4, 0))
@@ -252,7 +252,7 @@ class NetPicture:
         keys = pixels.key()
         place = self._places.points(keys, 0, 1)
         # In turn along the points, so that as many are taken as are due. What overflows does so alike.
-        due = np.cumsum(chance, axis=1, dtype=np.uint16).take(cell, axis=0)
+        due = due.take(cell, axis=0)
         due += (self._draws.points(keys, 0, 1)[0] * SURE).astype(np.uint16)
         due >>= LOG_SURE
         taken = np.empty(due.shape, bool)
@@ -273,18 +273,9 @@ class NetPicture:
     def _correct(self) -> None:
         """Take off what the net is wrong by in all pixels around, as nets of their own at corners tell."""
         off = _smoothed(_smoothed(self._off, 1), 2) / self._rounds
-        y, x = np.nonzero(self._served)
-        row, column = y // CELL, x // CELL
-        weights = _bilinear(
-            (x % CELL + 0.5) / np.minimum(CELL, self._width - column * CELL),
-            (y % CELL + 0.5) / np.minimum(CELL, self._height - row * CELL),
-        )
-        change = weights[0] * off[:, row, column]
-        change += weights[1] * off[:, row, column + 1]
-        change += weights[2] * off[:, row + 1, column]
-        change += weights[3] * off[:, row + 1, column + 1]
-        self._layer.radiance[y, x] += change.T
-        self._layer.control_variate[y, x] += change.T
+        change = _at_middles(off, self._height, self._width).transpose(1, 2, 0) * self._served[:, :, None]
+        self._layer.radiance += change
+        self._layer.control_variate += change
 
 
 def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -309,6 +300,21 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _bilinear(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(4, B) weights of a cell's corners at u, v (B,): left and right, of the lower ones first."""
     return np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
+
+
+def _at_middles(a: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(C, height, width) between values (C, rows + 1, columns + 1) at cells' corners, in pixels' middles: the
+    mean over the pixel of what is linear in x and in y.
+    """
+    for axis, n in ((1, height), (2, width)):
+        cell, inner = np.divmod(np.arange(n), CELL)
+        t = (inner + 0.5) / np.minimum(CELL, n - cell * CELL)
+        low, high = a.take(cell, axis=axis), a.take(cell + 1, axis=axis)
+        high -= low
+        high *= t[:, None] if axis == 1 else t
+        high += low
+        a = high
+    return a
 
 
 def _whole_cells(a: np.ndarray) -> np.ndarray:

@@ -50,7 +50,10 @@ NEXT = 0.25
 """Of a cell's chances, what the cells around get at least: where an edge is, others are not far."""
 
 ROUGH = 0.4
-"""Mean chance of a cell whose pixels are sampled as those beside outlines: as many points, more places."""
+"""Mean chance of a cell in whose pixels all points are asked for, at several places."""
+
+PLACES = 8
+"""In these pixels, a power of two."""
 
 ON_OUTLINES, BESIDE_OUTLINES = 16, 8
 """Camera rays of a pixel that an outline crosses, and of the others of its cell."""
@@ -128,7 +131,7 @@ class NetPicture:
         self._net = net.points(np.zeros(1, np.uint32), 0, self._points)[:, 0]
         self._fresh = Integrated(self._integrand, max(1, self._points // FRESH), seed, fixed=False)
         self._places, self._draws = SobolPoints(range(2), seed, 104), RandomPoints(1, seed, 105)
-        self._places.prepare(1)
+        self._places.prepare(PLACES)
         self._split = max(1, self._points // SPLIT)
         self._plain = staged_points("sobol", 2, dimensions, self._split, seed + 1)
         for group, n in zip(self._plain, (1, self._split), strict=True):
@@ -164,14 +167,11 @@ class NetPicture:
         values = self._at_corners(columns, rows)
         means = values.mean(axis=3, dtype=np.float64)
         chance, spread = _chances(values.sum(axis=0))
-        # Where most must be asked, different places in a pixel might have to be, too.
-        served = self._served[low:high]
-        y, x = np.nonzero(served)
+        y, x = np.nonzero(self._served[low:high])
         if not self._alone:
+            # Where most must be asked, different places in a pixel might have to be, too.
             rough = (chance.mean(axis=2) > ROUGH * SURE)[y // CELL, x // CELL]
-            served[y[rough], x[rough]] = False
-            if rough.any():
-                self._sample(((y[rough] + low) * self._width + x[rough], BESIDE_OUTLINES))
+            self._add_rough(x[rough], y[rough] + low, spread[y[rough] // CELL, x[rough] // CELL])
             y, x = y[~rough], x[~rough]
         row, column = y // CELL, x // CELL
         inner = (x - columns.take(column), y - rows.take(row) + low)
@@ -199,6 +199,26 @@ class NetPicture:
         layer.radiance[y, x] += (h + residual).T / self._rounds
         layer.sample_count[y, x] += not self._alone
         layer.standard_error[y, x] += variance[:, None]
+
+    def _add_rough(self, x: np.ndarray, y: np.ndarray, spread: np.ndarray) -> None:
+        """All points of the net in pixels (B,), each at one of `PLACES`; spread : (B,) of points.
+
+        It is the same net as of all others: that it showed where it is needed must not change the mean.
+        """
+        step = max(1, BATCH // self._points)
+        for low in range(0, len(x), step):
+            self._check()
+            part = slice(low, min(low + step, len(x)))
+            pixels, n = self._pixels(x[part], y[part]), len(x[part])
+            stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, PLACES))
+            # Consecutive points are nets of their own.
+            f = values_at(self._integrand, stage, n * PLACES, None, np.tile(self._net, n))[:3]
+            value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T / self._rounds
+            at, layer = (y[part], x[part]), self._layer
+            layer.radiance[at] += value
+            layer.residual[at] += value
+            layer.sample_count[at] += PLACES
+            layer.standard_error[at] += (spread[part] / self._points**1.5)[:, None]
 
     def _at_corners(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(3, rows, columns, N) values of the net's points at corners of cells; keeps how wrong it is."""

@@ -130,7 +130,8 @@ class OverScreen:
 class OverNet:
     """An integral by a net of points that are followed over the picture, each for itself.
 
-    integrand : all of it. points : of the net. outlines, elsewhere : as in `OverScreen`.
+    integrand : all of it. points : of the net, a power of two, 16 at least. outlines, elsewhere : as in
+        `OverScreen`.
     """
 
     integrand: StagedIntegrand

@@ -37,13 +37,17 @@ class DirectlySeen:
         seed: int,
         batch: int,
         map_: Map,
+        of_lights: np.ndarray,
     ) -> None:
-        """pixels_at : index (2, N) -> pixels. batch : rays at once. map_ : over the workers."""
+        """pixels_at : index (2, N) -> pixels. batch : rays at once. map_ : over the workers.
+
+        of_lights : (W, H) bool, pixels in which a light may be seen.
+        """
         self._integrand, self._pixels_at, self._batch, self._map = integrand, pixels_at, batch, map_
         self._points = SobolPoints(range(2), seed, GROUP)
         index = np.indices(bins).reshape(2, -1)
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
-        contrast = contrast_around(self.mean)
+        contrast = contrast_around(self.mean, self._at_corners(of_lights))
         rays = np.ones(bins, np.int64)
         # The mean of all others, for the same reason.
         total = self.mean.mean(axis=0)
@@ -59,6 +63,23 @@ class DirectlySeen:
         # An edge across a pixel is integrated by n points of a net with 0.365 n^-3/4 of its contrast.
         self.error = 0.365 * contrast * rays**-0.75
 
+    def _at_corners(self, pixels: np.ndarray) -> np.ndarray:
+        """(3, W + 1, H + 1) what rays at the corners of ``pixels`` (W, H) see, NaN at others."""
+        wanted = np.zeros([n + 1 for n in pixels.shape], bool)
+        for x, y in np.ndindex(2, 2):
+            wanted[x : x + pixels.shape[0], y : y + pixels.shape[1]] |= pixels
+        seen = np.full((3, *wanted.shape), np.nan)
+        index = np.stack(np.nonzero(wanted))
+
+        def look(low: int) -> np.ndarray:
+            some = self._pixels_at(index[:, low : low + self._batch])
+            hits = self._integrand.first(some, np.zeros((2, len(some), 1)))
+            return hits.values[RGB].astype(np.float64)
+
+        if index.size:
+            seen[:, wanted] = np.concatenate(self._map(look, range(0, index.shape[1], self._batch)), axis=1)
+        return seen
+
     def _rays(self, index: np.ndarray, start: int, count: int) -> np.ndarray:
         """(3, N) mean of ``count`` rays of pixels (2, N), the net's points from ``start`` on."""
         self._points.prepare(start + count)
@@ -72,9 +93,12 @@ class DirectlySeen:
         return np.concatenate(self._map(look, range(0, index.shape[1], width)), axis=1)
 
 
-def contrast_around(values: np.ndarray) -> np.ndarray:
-    """(C, W, H) difference between the largest and the least of each pixel's eight neighbours."""
-    return _contrast(values, [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)])
+def contrast_around(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(C, W, H) difference between the largest and the least of each pixel's eight neighbours, and of those of
+    its corners (C, W + 1, H + 1) that are not NaN.
+    """
+    around = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)]
+    return _contrast(values, around, corners)
 
 
 def contrast_beside(values: np.ndarray) -> np.ndarray:
@@ -82,7 +106,9 @@ def contrast_beside(values: np.ndarray) -> np.ndarray:
     return _contrast(values, [(0, 1), (2, 1), (1, 0), (1, 2)])
 
 
-def _contrast(values: np.ndarray, around: list[tuple[int, int]]) -> np.ndarray:
+def _contrast(
+    values: np.ndarray, around: list[tuple[int, int]], corners: np.ndarray | None = None
+) -> np.ndarray:
     """around : which of 3 x 3 pixels."""
     width, height = values.shape[1:]
 
@@ -91,6 +117,10 @@ def _contrast(values: np.ndarray, around: list[tuple[int, int]]) -> np.ndarray:
         chosen = padded[:, :width, :height].copy()
         for x, y in around:
             choose(chosen, padded[:, x : x + width, y : y + height], out=chosen)
+        if corners is not None:
+            known = np.where(np.isnan(corners), beyond, corners)
+            for x, y in np.ndindex(2, 2):
+                choose(chosen, known[:, x : x + width, y : y + height], out=chosen)
         return chosen
 
     return np.maximum(over_neighbours(np.maximum, -np.inf) - over_neighbours(np.minimum, np.inf), 0)

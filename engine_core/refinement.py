@@ -137,7 +137,10 @@ class ControlVariatePicture:
             eye = DirectLightOverTile(self._direct_light, None, self._check)
             eye.counts = self.integrand.counts
             settings = self._settings
-            seen = DirectlySeen(eye, self._bins, self._pixels, settings.seed + 1, settings.batch_size, map_)
+            of_lights = self._direct_light.stage.images_of_lights((*self._corner, *self._bins))
+            seen = DirectlySeen(
+                eye, self._bins, self._pixels, settings.seed + 1, settings.batch_size, map_, of_lights
+            )
             self._first, self._first_error = seen.mean, seen.error
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:

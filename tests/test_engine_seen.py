@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes import area_light, blocks, box, pictures, studio
 
-from engine_core import AreaLight, Material, PointLight, Scene, Settings, World, render
+from engine_core import AreaLight, Camera, Material, PointLight, Scene, Settings, World, render
 
 LAMP = PointLight(50.0, position=(0.4, -1.0, 1.5), radius=0.2, visible_to_camera=True)
 
@@ -48,6 +48,19 @@ def test_rims_of_lamps_are_as_good_as_of_many_rays():
         return np.square(film.combined[..., :3] - converged).mean()
 
     assert error(few) < 0.05 * error(plain)
+
+
+def test_a_lamp_seen_through_a_gap_narrower_than_a_pixel_converges():
+    walls = [box((-3, -1, -3), (-0.01, -0.9, 3)), box((0.01, -1, -3), (3, -0.9, 3))]
+    lights = (replace(LAMP, position=(0.0, 0.0, 0.0), radius=0.4), AreaLight(1e-3, size=(1, 1)))
+    camera = Camera.look_at((0, -5, 0), (0, 0, 0), 32, 32, np.radians(40))
+    gap = Scene(camera, walls, [Material(0.1)], lights, World(0.0))
+    converged = pictures(gap, 1, samples=4096, integrator="sobol")[0]
+    # The gap lies between two columns, and a sixth of either's rays or less meet it.
+    few = pictures(gap, 8, samples=1)
+    lit = converged[14:18, 15:17]
+    error = np.square(few[:, 14:18, 15:17] - lit).mean(axis=0)
+    assert (error < np.square(0.1 * lit)).all()
 
 
 def test_a_pixel_alone_and_a_row_of_pixels_are_unbiased_too():

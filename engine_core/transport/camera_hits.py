@@ -197,6 +197,32 @@ class CameraStage:
         holdout = np.broadcast_to(self._surfaces.triangles.holdout, len(self._surfaces.triangles))
         return holdout[points.triangle]
 
+    def images_of_lights(self, window: tuple[int, int, int, int]) -> np.ndarray:
+        """(W, H) bool, pixels in which a light at a finite distance may be seen: boxes about them.
+
+        window : x0, y0, width, height in the whole frame.
+        """
+        x0, y0, *shape = window
+        found = np.zeros(shape, bool)
+        for group in self._emitters:
+            if group.centre is None or not (group.any_visible or group.is_mesh):
+                continue
+            which = slice(None) if group.is_mesh else group.visible
+            offset = np.array(list(np.ndindex(2, 2, 2))).T[:, :, None] * 2.0 - 1
+            corner = group.centre[:, None, which] + offset * group.reach[which]  # (3, 8, L)
+            image, depth = self.rays.image_of(corner.reshape(3, -1))
+            image, depth = image.reshape(2, *corner.shape[1:]), depth.reshape(corner.shape[1:])
+            # All about the camera, or partly behind it, may be anywhere.
+            ahead = depth.min(axis=0) > 0
+            low = np.where(ahead, image.min(axis=1) - (np.array([[x0], [y0]])), 0)
+            high = np.where(ahead, image.max(axis=1) - (np.array([[x0], [y0]])), np.array([shape]).T)
+            low, high = (
+                np.clip(x, 0, np.array([shape]).T).astype(np.int64) for x in (np.floor(low), np.ceil(high))
+            )
+            for (left, bottom), (right, top) in zip(low.T, high.T, strict=True):
+                found[left:right, bottom:top] = True
+        return found
+
     def _add_lights_seen(
         self, radiance: np.ndarray, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray
     ) -> None:

@@ -102,6 +102,11 @@ class Emitters:
         raise NotImplementedError
 
     @property
+    def visible(self) -> list[int]:
+        """Which camera rays may see."""
+        return self._visible
+
+    @property
     def any_visible(self) -> bool:
         """Whether `seen` may find anything."""
         return bool(self._visible)

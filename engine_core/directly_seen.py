@@ -94,8 +94,9 @@ class DirectlySeen:
 
 
 def contrast_around(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(C, W, H) difference between the largest and the least of each pixel's eight neighbours, and of those of
-    its corners (C, W + 1, H + 1) that are not NaN.
+    """(C, W, H) difference between the largest and the least of each pixel's eight neighbours, and corners.
+
+    corners : (C, W + 1, H + 1), NaN where they are unknown.
     """
     around = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)]
     return _contrast(values, around, corners)

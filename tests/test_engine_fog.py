@@ -258,6 +258,19 @@ CASES = {
         0,
         (),
     ),
+    "one strong and many weak, of all kinds": (
+        [
+            PointLight(power=100, position=(0.3, 0.2, -3.4)),
+            SunLight(power=0.1, direction=(-0.4, -1, -0.2)),
+            *(PointLight(power=5, position=(np.cos(i), 1.2, -2.5 + np.sin(i))) for i in range(8)),
+            *(
+                spot_at((1.5 * np.cos(i), -1.2, -2.5 + np.sin(i)), (0, 0, -2.5), power=9 / (i + 1), angle=0.8)
+                for i in range(8)
+            ),
+        ],
+        -1,
+        (bounds((-2, -2, -5), (2, 2, 1)),),
+    ),
 }
 
 
@@ -297,6 +310,17 @@ def test_a_few_points_of_a_ray_are_unbiased(lights, world, meshes):
         assert abs(values[channel].mean(axis=1).sum() - exact[channel].sum()) < 4 * error
     last = integrand.rest(rays, None, np.full((1, len(rays), 1), np.nextafter(np.float32(1), 0)))[1]
     assert np.isfinite(last).all() and integrand.counts["non-finite samples"] == 0
+
+
+def test_each_of_many_lights_takes_few_rays():
+    taken = []
+    for count in (1, 64):
+        lights = [PointLight(power=50, position=(np.cos(i), 1.2, -2.5 + np.sin(i))) for i in range(count)]
+        integrand = ScatteredAlongRay(fog(lights, [THIN], 0, [OCCLUDER], clip_end=5.0))
+        rays = rays_of(integrand, 64)
+        integrand.rest(rays, None, np.random.default_rng(4).random((2, len(rays), 16)))
+        taken.append(integrand.counts["shadow rays"])
+    assert taken[1] < 16 * taken[0]
 
 
 @pytest.mark.parametrize("sampling", DISTANCE_SAMPLING)

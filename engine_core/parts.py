@@ -48,15 +48,16 @@ surface does."""
 NODE_RAYS = NODES + 2 * BISECTIONS
 """That a whole ray takes to each light without size, with a shadow on the way."""
 
-AT_OUTLINES, AT_OUTLINES_OF_MANY = 8, 2
-"""`OverScreen.at_outlines`, and of many lights."""
+AT_OUTLINES = 8
+"""`OverScreen.at_outlines`."""
 
 MOST_BARE, MOST_SIZED = 128, 16
 """Lights without size whose whole rays are looked at: of more, some are chosen at every sample. And lights
 with a size, up to which pixels about lights in the picture are integrated by themselves."""
 
-MANY = 16
-"""Lights whose errors even out: of more, whole rays are fewer by the root of their number."""
+MANY = 32
+"""Lights whose errors even out: of more, weak ones have few rays, and a whole ray counts for less of the
+budget by the root of their number, so that outlines have what they need."""
 
 VISIBLE = 0.08
 """`OverScreen.visible`."""
@@ -269,8 +270,8 @@ def _of_fog(
             elsewhere = None
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check, tamed=calm)
-        dear = max(1.0, bare.size / MANY) ** 0.5
-        node, ray = (int(n * dear) for n in (NODE_RAYS, NODE_RAYS + CHECKS))
+        worth = min(1.0, MANY / bare.size) ** 0.5
+        node, ray = (int(n * worth) for n in (NODE_RAYS, NODE_RAYS + CHECKS))
         by = OverScreen(
             whole,
             AlongRay(node),
@@ -280,8 +281,7 @@ def _of_fog(
             1,
             and_beams,
             elsewhere,
-            alone_rays=int(RAY_POINTS * dear),
-            at_outlines=AT_OUTLINES if dear == 1 else AT_OUTLINES_OF_MANY,
+            alone_rays=max(1, int(RAY_POINTS * worth)),
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:

@@ -43,6 +43,9 @@ costs least where the error of n points, evenly spread, of a step falls as 1 / n
 MOST_FEW = 16
 """Points that cost as much as nodes, bisections and checks."""
 
+ALL = 16
+"""Lights up to which each has all of its rays."""
+
 LOOKS = 1 / 4, 3 / 4
 """Places of a lane that tell how much it brings, about."""
 
@@ -105,7 +108,7 @@ class ScatteredAlongRay(Scattered):
         if lane is None and u.ndim == 3 and u.shape[2] > 1:
             lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
         u = u.reshape(len(u), -1)
-        if len(self._lights) == 1:
+        if len(self._lights) <= ALL:
             values, _ = self._estimate(rays, lane, u)
             return None, values
         lane = np.arange(u.shape[1]) if lane is None else lane

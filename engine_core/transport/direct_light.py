@@ -52,9 +52,12 @@ transparent surfaces."""
 
 NON_FINITE = "non-finite samples"
 
-EVERY_POINT = 16
+EVERY_POINT = 128
 """Lights up to which all are sampled at every hit, if none has a size: they need no net, and many spots light
 few places, so that a choice among them costs as much as the rays that it saves."""
+
+_AT_ONCE = 1 << 20
+"""Samples of these, about."""
 
 __all__ = [
     "ALPHA",
@@ -250,6 +253,16 @@ class DirectLight:
 
     def _reflected(self, hits, at, u, choice, split) -> Reflected:
         """Light reflected at points ``at`` (K,), None for all in order; ``split`` samples in a row each."""
+        count, step = u.shape[1], max(1, _AT_ONCE // max(len(self.lights), 1))
+        if isinstance(choice, EveryLight) and count > step:
+            at = np.arange(count) if at is None else at
+            parts = []
+            for low in range(0, count, step):
+                some = slice(low, low + step)
+                part = self._reflected(hits, at[some], u[:, some], choice, 1)
+                part.which = part.which + low
+                parts.append(part)
+            return Reflected.joined(parts)
         if self._glows:
             glow = self._reflect_glow(hits, np.arange(u.shape[1]) if at is None else at, u[:2])
             return Reflected.joined([*glow, *self._lights_reflected(hits, at, u, choice, split)])

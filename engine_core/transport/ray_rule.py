@@ -184,10 +184,10 @@ class ScatteredAlongRay(Scattered):
         """(G, C, n) integrals of `Lanes.smooth` times visibility, by a point in each part, at u (n,)."""
         # Of many lights the errors of one place in all of their lanes would add up.
         u = (u + lanes.light * _GOLDEN) % 1
-        s = (u + np.arange(points)[:, None]) / points
+        s = np.minimum((u + np.arange(points)[:, None]) / points, 1 - 2.0**-24)  # as in `PointsOfRay`
         value = lanes.smooth(s)
         value *= self._seen(lanes, s)
-        return value.mean(axis=2)
+        return value.mean(axis=2, dtype=np.float64)
 
     def _lanes(
         self, segments: FogSegments, bare: BareLights, whole: bool = False

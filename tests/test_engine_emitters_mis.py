@@ -185,6 +185,9 @@ def test_lights_without_size_are_never_met():
 # Centre from the shaded point, rotation, size: near and far, edge-on, behind the horizon, long.
 PLACES = {
     "far": ((30, 20, 50), (0.4, -0.5, 0.3), (1.0, 2.0)),
+    "of 1e-6 sr": ((600, 400, 1000), (0.4, -0.5, 0.3), (1.0, 2.0)),
+    "of 1e-12 sr": ((6e5, 4e5, 1e6), (0.4, -0.5, 0.3), (1.0, 2.0)),
+    "nearly a half space": ((0.3, 0.2, 0.1), (0.0, 0.0, 0.0), (2000.0, 3000.0)),
     "near": ((0.3, 0.2, 0.1), (0.2, -0.1, 0.3), (1.0, 2.0)),
     "very near": ((0.3, 0.2, 0.06), (0, 0, 0), (3.0, 2.0)),
     "edge-on": ((2, 0.3, 0.02), (0, 0, 0), (1.0, 1.5)),
@@ -250,7 +253,7 @@ def test_maps_hold_from_everywhere(where: str, scale: float, ellipse: bool, spre
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-@pytest.mark.parametrize("shape", ["large", "sliver", "around", "edge-on", "far"])
+@pytest.mark.parametrize("shape", ["large", "sliver", "around", "edge-on", "far", "of 1e-8 sr", "of 1e-12 sr"])
 def test_emissive_triangles_have_their_solid_angle(shape: str, scale: float):
     corners = {
         "large": [(1, 0, 1), (0, 1, 1), (-1, -0.5, 1)],
@@ -258,6 +261,8 @@ def test_emissive_triangles_have_their_solid_angle(shape: str, scale: float):
         "around": [(9, 0, 0.02), (-3, 5, 0.02), (-4, -6, 0.02)],
         "edge-on": [(1, 1, 0.01), (2, 1, 0.012), (1, 2, 0.01)],
         "far": [(100, 0, 1), (101, 1, 0), (100, 2, 2)],
+        "of 1e-8 sr": [(1e4, 0, 1e4), (1e4 + 1, 1, 1e4), (1e4, 2, 1e4 + 2)],
+        "of 1e-12 sr": [(1e6, 0, 1e6), (1e6 + 1, 1, 1e6), (1e6, 2, 1e6 + 2)],
     }[shape]
     mesh = Mesh(np.array(corners, float) * scale, [[0, 1, 2]])
     triangles, _ = gather_triangles([mesh], FRAME)

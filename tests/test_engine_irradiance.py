@@ -117,7 +117,7 @@ def test_point_light_falls_off_with_the_square():
 
 
 @pytest.mark.parametrize("normalize", [True, False])
-@pytest.mark.parametrize("radius", [1e-4, 0.2, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("radius", [1e-8, 1e-4, 0.2, 0.5, 0.9, 0.999, 0.999999])
 def test_sphere_light_above_the_horizon_is_the_closed_form(radius, normalize):
     radiance = POWER / (4 * np.pi**2 * radius**2) if normalize else POWER / np.pi
     irradiance = radiance * np.pi * (radius / DISTANCE) ** 2 / DISTANCE

@@ -206,6 +206,16 @@ def test_rays_begin_inside_or_outside() -> None:
     np.testing.assert_array_equal(near.state, [2, 3, 2, 0, 0])
 
 
+@pytest.mark.parametrize("length", (1e-12, 1.0, 1e19, 1e30))
+def test_rays_of_any_length_come_to_an_end(length: float) -> None:
+    """Squares of float32 overflow from 2e19 on."""
+    media = media_of(sphere((0, 0, 0), 1.0, segments=16, volume=0), volumes=(Volume(0.5),))
+    origins = np.array([[0.01, 0.02, -3], [0.01, 0.02, 0], [0.01, 0.02, 3]], np.float32)
+    directions = np.array([[0, 0, length]], np.float32).repeat(3, axis=0)
+    depth = media.optical_depth(origins, directions, np.inf)
+    np.testing.assert_allclose(depth[0], [1, 0.5, 0], atol=0.02)
+
+
 def test_an_open_mesh_is_entered_for_good() -> None:
     open_box = box(volume=0)
     open_box = replace(open_box, triangles=open_box.triangles[2:])  # without the side at x = -1

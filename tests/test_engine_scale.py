@@ -13,6 +13,7 @@ from scenes import WHITE, box, floor, place, sphere
 from engine_core import (
     AreaLight,
     Camera,
+    Laser,
     Light,
     Material,
     Mesh,
@@ -21,6 +22,7 @@ from engine_core import (
     Settings,
     SpotLight,
     SunLight,
+    Volume,
     World,
     render,
 )
@@ -61,8 +63,9 @@ def _placed(value: Light, scale: float, move: np.ndarray) -> Light:
         changes: dict[str, Any] = {"light_to_world": matrix}
     else:
         changes = {"position": value.position * scale + move}
-    if hasattr(value, "radius"):
-        changes["radius"] = value.radius * scale
+    for length in ("radius", "length"):
+        if hasattr(value, length):
+            changes[length] = getattr(value, length) * scale
     return dataclasses.replace(value, power=value.power * scale**2, **changes)
 
 
@@ -71,7 +74,10 @@ def placed(scene: Scene, scale: float = 1.0, move: Any = (0, 0, 0)) -> Scene:
     move = np.asarray(move, float)
     matrix = scene.camera.camera_to_world.copy()
     matrix[:3, 3] = matrix[:3, 3] * scale + move
-    camera = dataclasses.replace(scene.camera, camera_to_world=matrix)
+    clip = (scene.camera.clip_start * scale, scene.camera.clip_end * scale)
+    camera = dataclasses.replace(
+        scene.camera, camera_to_world=matrix, clip_start=clip[0], clip_end=clip[1]
+    )
     if camera.projection == "orthographic":
         camera = dataclasses.replace(camera, viewplane=camera.viewplane * scale)
     meshes = [
@@ -79,7 +85,11 @@ def placed(scene: Scene, scale: float = 1.0, move: Any = (0, 0, 0)) -> Scene:
         for mesh in scene.meshes
     ]
     lights = [_placed(light, scale, move) for light in scene.lights]
-    return dataclasses.replace(scene, camera=camera, meshes=meshes, lights=lights)
+    volumes = [
+        Volume(v.scattering / scale, v.absorption / scale, v.anisotropy, v.emission / scale)
+        for v in scene.volumes
+    ]
+    return dataclasses.replace(scene, camera=camera, meshes=meshes, lights=lights, volumes=volumes)
 
 
 def _assert_same_picture(a: Scene, b: Scene) -> None:
@@ -113,6 +123,37 @@ def test_small_scene_far_away_gives_the_same_picture():
     _assert_same_picture(
         placed(_exact_studio(), 2.0**-13), placed(_exact_studio(), 2.0**-13, (2.0**4, -(2.0**4), 0))
     )
+
+
+def _exact_fog() -> Scene:
+    """Fogs that overlap, the camera in one of them, under lights of all kinds and a laser."""
+    clear = _exact_studio()
+    laser = Laser(20.0, light_to_world=place((-2.0, -1.0, 2.0), (0.0, -1.0, 0.25)), radius=0.03125)
+    fogs = [
+        box((-4, -6, -0.5), (4, 4, 4.5), volume=0, surface=False),
+        box((-1.5, -1.5, 0.25), (2.25, 1.5, 1.75), volume=1, surface=False),
+    ]
+    volumes = [Volume((0.1, 0.12, 0.15), 0.02, 0.5), Volume(0.4, (0, 0.1, 0.2), -0.3, 0.01)]
+    camera = dataclasses.replace(clear.camera, clip_start=0.125, clip_end=64.0)
+    return dataclasses.replace(
+        clear,
+        camera=camera,
+        meshes=(*clear.meshes, *fogs),
+        lights=(*clear.lights, laser),
+        volumes=volumes,
+    )
+
+
+@pytest.mark.parametrize("scale", [2.0**-13, 2.0**13])
+def test_scaled_fog_gives_the_same_picture(scale):
+    _assert_same_picture(_exact_fog(), placed(_exact_fog(), scale))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_moved_fog_gives_the_same_picture(axis):
+    move = np.zeros(3)
+    move[axis] = 2.0**17
+    _assert_same_picture(_exact_fog(), placed(_exact_fog(), 1.0, move))
 
 
 # -- acne ----------------------------------------------------------------------------------------------

@@ -140,7 +140,9 @@ class _Traced:
         origins, directions, reach = origins.take(ray, axis=0), directions.take(ray, axis=0), reach.take(ray)
         # Off the surface just crossed, by what the arithmetic can be wrong by.
         size = np.maximum(np.abs(origins).max(axis=1, initial=0), self._size)
-        offset = _ULPS * size / np.maximum(np.sqrt((directions**2).sum(axis=1)), np.float32(1e-37))
+        # In float64: a length that overflows makes no step at all, and rays meet one triangle for ever.
+        length = np.sqrt(np.square(directions, dtype=np.float64).sum(axis=1))
+        offset = _ULPS * size / np.maximum(length, 1e-37)
         last, step = np.zeros((2, len(ray)))
         within = np.zeros(len(ray), bool)  # behind the last crossing, by the side of its triangle
         found = [Spans(np.zeros(0, np.intp), np.zeros(0), np.zeros(0))]

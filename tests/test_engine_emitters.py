@@ -261,6 +261,25 @@ def test_measure_is_one_over_the_density(case: Case):
     assert np.quantile(np.abs(product[inside] - 1), 0.999) < 2e-3
 
 
+def test_the_ends_of_the_unit_interval_are_samples_like_those_beside_them(case: Case):
+    """Nodes of polynomials lie there."""
+
+    def sampled(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        u = np.array(np.meshgrid([low, 0.3, high], [low, 0.7, high], [low, 0.4, high]), np.float32)
+        u = u.reshape(3, -1)
+        at = (np.tile(v.astype(np.float32)[:, None], u.shape[1]) for v in (POINT, NORMAL))
+        to_light, measure = case.group().sample(None, *at, u[0], u[1:])
+        # Of light from the horizon there is much for a point, but not for a surface.
+        cosine = NORMAL @ to_light / np.sqrt((to_light * to_light).sum(axis=0))
+        return to_light, measure * cosine
+
+    at_ends, beside = sampled(0, 1), sampled(2.0**-20, 1 - 2.0**-20)
+    # Cosines end as a root of u, so that directions differ by the root of 2^-20; float32 has few digits of those.
+    for ends, near, apart in zip(at_ends, beside, (1e-2, 1e-1), strict=True):
+        assert np.isfinite(ends).all()
+        assert np.abs(ends - near).max() < apart * np.abs(near).max()
+
+
 def test_mean_of_measure_times_function_is_its_integral(case: Case):
     direction, measure = _sampled(case.group())
     grid, solid_angle = case.grid(1000, 1000)

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import box, floor
+from scenes import assert_picture_is_sound, box, floor, place
 
 from engine_core import (
     AreaLight,
@@ -25,6 +26,7 @@ from engine_core import (
 )
 from engine_core.integration.integrated import Integrated
 from engine_core.parts import parts_of
+from engine_core.shading.closures import Emission, Mix, Transparent
 from engine_core.transport.around_light import polar
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
@@ -76,6 +78,60 @@ def test_pictures_of_fog_are_unbiased(name):
     assert (np.abs(difference) < 4.5 * error + 1e-3 * plain.mean()).all()
 
 
+EYE = np.array([0.2, -6, 1.2])
+AMIDST = {
+    "in a ball": (PointLight(300.0, position=EYE + (0.2, 0.3, 0), radius=1.0, visible_to_camera=True),),
+    "in a ball that faces": (PointLight(300.0, position=EYE + (0.2, 0.3, 0), radius=1.0, sphere=False),),
+    "at a point": (PointLight(100.0, position=EYE),),
+    "in a beam": (Laser(50.0, light_to_world=downwards(EYE + (0, 0, 3)), radius=0.5),),
+    "before a beam": (Laser(50.0, light_to_world=place(EYE, (np.pi / 2, 0, 0)), radius=0.02),),
+}
+
+
+@pytest.mark.parametrize("name", AMIDST)
+def test_a_camera_in_a_light_sees_fog_lit_by_it(name):
+    """What it sees is finite, and the mean over seeds that of plain samples."""
+    made = scene(*AMIDST[name], reflectance=0.5)
+
+    def means(seeds, settings):
+        films = [render(made, replace(settings, seed=seed)) for seed in seeds]
+        for film in films:
+            assert_picture_is_sound(film)
+        return np.array([film.combined[..., :3].mean(dtype=np.float64) for film in films])
+
+    plain = means(range(900, 904), Settings(64, integrator="sobol"))
+    ours = means(range(8), Settings(4))
+    error = np.hypot(ours.std(ddof=1) / 8**0.5, plain.std(ddof=1) / 2)
+    assert plain.min() > 0
+    assert abs(ours.mean() - plain.mean()) < 5 * error + 1e-4 * plain.mean()
+
+
+@pytest.mark.parametrize("closure", [None, Mix(0.5, Transparent(1.0), Emission((1, 0.8, 0.6), 2.0))])
+def test_a_lamp_that_bounds_fog_is_a_lamp_and_its_fog(closure):
+    """One mesh for both, or two of one shape: the same picture."""
+    lamp = box((-1, -1, 1.5), (0, 0, 2.2), materials=1)
+    materials = [Material(0.6), Material(0.0, (3, 2, 1)) if closure is None else Material(surface=closure)]
+    both = [replace(lamp, volume=0)]
+    apart = [lamp, replace(lamp, volume=0, surface=False)]
+    one, two = (
+        render(
+            Scene(CAMERA, [floor(8), *meshes], materials, LIT["point"], volumes=[FOG]), Settings(4)
+        ).combined
+        for meshes in (both, apart)
+    )
+    assert one[..., :3].max() > 0.1
+    np.testing.assert_allclose(one, two, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("power", [2.0**-40, 2.0**40])
+def test_power_scales_a_picture_of_fog(power):
+    def picture(factor):
+        lights = [replace(light, power=light.power * factor) for lights in LIT.values() for light in lights]
+        return render(scene(*lights, reflectance=0.5), Settings(2)).combined[..., :3].astype(float)
+
+    np.testing.assert_allclose(picture(power) / power, picture(1.0), rtol=1e-4, atol=1e-7)
+
+
 def test_a_picture_is_the_sum_of_its_layers():
     made = scene(PointLight(300.0, position=OUTSIDE), *LIT["laser"], reflectance=0.6)
     film = render(made, Settings(4))
@@ -106,8 +162,10 @@ def test_what_a_scene_lacks_is_never_entered():
     assert "no surface reflects" in told["control variate"] and told["fog lit by lights"] == "built"
 
 
-@pytest.mark.parametrize("size", [(1, 1), (8, 8), (1, 90), (130, 3)])
-@pytest.mark.parametrize("samples", [1, 16])
+@pytest.mark.parametrize(
+    ("size", "samples"),
+    [*itertools.product([(1, 1), (8, 8), (1, 90), (130, 3)], [1, 16]), ((1, 10_000), 1), ((10_000, 1), 1)],
+)
 def test_pictures_of_any_size_are_finite(size, samples):
     camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), *size, 0.8)
     lights = [light for lights in LIT.values() for light in lights]

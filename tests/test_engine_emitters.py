@@ -274,7 +274,7 @@ def test_the_ends_of_the_unit_interval_are_samples_like_those_beside_them(case: 
         return to_light, measure * cosine
 
     at_ends, beside = sampled(0, 1), sampled(2.0**-20, 1 - 2.0**-20)
-    # Cosines end as a root of u, so that directions differ by the root of 2^-20; float32 has few digits of those.
+    # Cosines end as a root of u, of which float32 has few digits: directions differ by the root of 2^-20.
     for ends, near, apart in zip(at_ends, beside, (1e-2, 1e-1), strict=True):
         assert np.isfinite(ends).all()
         assert np.abs(ends - near).max() < apart * np.abs(near).max()

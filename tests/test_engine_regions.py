@@ -8,7 +8,7 @@ import pytest
 
 from engine_core.integration.allocation import evenly_spread, learned_deviation, sample_counts
 from engine_core.integration.control_variate import ControlVariate
-from engine_core.integration.regions import BIN, SMALLEST, WHOLE, RegionTree, root_edges
+from engine_core.integration.regions import BIN, SMALLEST, WHOLE, RegionTree, neighbourly, root_edges
 from engine_core.integration.residual import Overlaps
 from engine_core.integration.rules import SIMPSON, bin_means, gauss, lagrange
 
@@ -88,6 +88,18 @@ def test_neighbours_of_a_quadtree_share_their_nodes():
         pass
     assert len(tree) == 256
     assert tree.store.count == 33 * 33
+
+
+def test_a_region_alone_has_its_own_error_alone():
+    tree, _ = grown((1, 1), 2, sweeps=0)
+    regions = tree.leaves()
+    assert len(regions) == 1
+
+    def map_(function, items):
+        return [function(item) for item in items]
+
+    density = np.array([0.3])
+    assert np.allclose(neighbourly(density, regions, tree.store.count, map_), density)
 
 
 @pytest.mark.parametrize(("bins", "dimensions"), GRIDS)

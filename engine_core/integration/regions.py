@@ -220,7 +220,7 @@ def neighbourly(density: np.ndarray, regions: Regions, nodes: int, map_: Map) ->
         return np.bincount(slots, each, nodes), np.bincount(slots, minlength=nodes)
 
     (total, count), (more, also) = map_(summed, parts)
-    total += more
+    total = total + more  # of no region bincount makes integers
     count += also
     total /= np.maximum(count, 1)
     around = np.concatenate(map_(lambda part: total.take(regions.nodes[part]).mean(axis=1), parts))

@@ -13,10 +13,10 @@ import numpy as np
 
 from .directly_seen import DirectlySeen
 from .image.film import FAR, LARGEST, Film
-from .integration.allocation import evenly_spread, learned_deviation, sample_counts
+from .integration.allocation import learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import ControlVariate, TileOfRegions
-from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates, drawn
+from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
 from .integration.mapping import Map, in_order
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
@@ -44,12 +44,9 @@ FIRST_PASS = 8
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
-PILOT_ONE_IN = 4
-"""One pixel in so many is sampled first, and tells its neighbours how right the nodes' prediction is."""
-
-CHANCE = 0.25
-"""The least with which a pixel is sampled at all: what neither nodes nor a pilot have seen shows up to as
-much brighter as this is less than 1."""
+FREE = 0.25
+"""The part of a pixel's first sample that the budget pays at least. All of it, and of one or two samples a
+pixel none would be left for where the error is."""
 
 MOST_REGIONS = 400_000
 """Of a picture: about 2 kB each."""
@@ -168,24 +165,22 @@ class ControlVariatePicture:
         self._film.control_variate[y, x] = np.clip(shown, -LARGEST, LARGEST).T
 
     def _allocate(self, map_: Map) -> None:
-        """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
+        """Sample all pixels once, which stays, and decide by it and the nodes how often each is sampled."""
         settings, bins = self._settings, self._bins
         # Only to know the error is any pixel sampled twice.
         twice = np.zeros(bins, bool)
         if settings.standard_error:
             twice = sampled_twice(self._error.size, TWICE_ONE_IN, settings.seed).reshape(bins)
-        pilot = twice | evenly_spread(bins, PILOT_ONE_IN, settings.seed)
         # Alpha and normals are known from samples alone.
         self._every = self._direct_light.transparent or settings.normals
-        pilot |= self._every
-        self._twice, self._chance = twice, np.ones(bins)
+        self._twice = twice
         self._points = staged_points("sobol", 2, self.integrand.rest_dimensions, 1, settings.seed + 1)
         for group in self._points:
             group.prepare(1)
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
         self._spread = Spread.empty(CHANNELS, self._error.size) if settings.standard_error else None
         self._residual = np.zeros((CHANNELS, self._error.size))
-        self._have = pilot.astype(np.int64)
+        self._have = np.ones(bins, np.int64)
         square = np.zeros(bins)
 
         def sample_pilot(number: int) -> None:
@@ -199,19 +194,16 @@ class ControlVariatePicture:
             square[part] = np.square(np.abs(residual - approximate).sum(axis=0))
 
         map_(sample_pilot, range(len(self)))
-        self._deviation = error = learned_deviation(square, pilot, self._error, map_)
-        due, chance = sample_counts(error.ravel(), self._left / (1 + twice.mean()), DEFENSIVE, CHANCE)
-        due, chance = np.minimum(due, MOST).reshape(bins), chance.reshape(bins)
+        self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
+        due, _ = sample_counts(error.ravel(), self._left / (1 + twice.mean()), DEFENSIVE, FREE)
+        self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
-            brightness = np.sqrt(np.maximum(self._mean.mean(axis=0), 0))
+            brightness = np.sqrt(np.maximum(self._film.control_variate.mean(axis=-1).T, 0))
             wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
             # The error of a net falls about as n^-3/4.
             enough = np.ceil(np.log2(np.maximum(error / wanted, 1)) * 4 / 3).astype(np.int64)
             least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
-            due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
-        # Without h there is no telling how large a sample is that stands for several.
-        self._chance = np.where(pilot | self._plain, 1, chance)
-        self._due = due * drawn(self._chance.ravel(), settings.seed).reshape(bins)
+            self._due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         for group in self._points:
             group.prepare(int(self._due.max()))
@@ -238,10 +230,10 @@ class ControlVariatePicture:
         return slice(x0, x1), slice(y0, y1)
 
     def work(self, number: int, pass_: int) -> int:
-        """Samples that a tile takes in a pass."""
+        """Samples that a tile takes in a pass; in the first at least one, or it would not be shown."""
         where = self._part(number)
         new = self._count(where, pass_) - self._count(where, pass_ - 1)
-        return int((new * (1 + self._twice[where])).sum())
+        return max(int((new * (1 + self._twice[where])).sum()), int(pass_ == 0))
 
     def refine(self, number: int, pass_: int, done: Callable[[int], None]) -> None:
         """Sample a tile's residual and write it into the film. done : called with samples done."""
@@ -251,8 +243,6 @@ class ControlVariatePicture:
             return
         x, y = part = self._part(number)
         self._sample(number, *(self._count(part, p).ravel() for p in (pass_ - 1, pass_)), done)
-        if pass_ == 0 and self._settings.depth:
-            self._measure_depth(number)
         film, h = self._film, self._first[:, x, y] + self._mean[:, x, y]
         residual = self._residual.reshape(self._mean.shape)[:, x, y]
         self._write(x, y, h + residual)
@@ -261,15 +251,6 @@ class ControlVariatePicture:
         film.residual[y, x] = np.clip(residual, -LARGEST, LARGEST).T
         film.sample_count[y, x] = (self._count(part, pass_) * (1 + self._twice[part])).T
         self._reached = pass_
-
-    def _measure_depth(self, number: int) -> None:
-        """Of pixels that are never sampled, in their middle."""
-        x0, y0, x1, y1 = self.box(number)
-        x, y = np.nonzero(self._due[x0:x1, y0:y1] == 0)
-        x, y = x + x0, y + y0
-        depth = self._direct_light.depth(x + self._corner[0], y + self._corner[1])
-        self._film.depth[y, x] = np.minimum(depth, FAR)
-        self.integrand.count_rays(len(x))
 
     def _sample(
         self,
@@ -311,7 +292,7 @@ class ControlVariatePicture:
             tile.density(self._variate.spread),
             self._error[part].ravel(),
             count,
-            self._chance[part].ravel(),
+            np.ones(len(new)),
             twice,
             after_batch,
             self._plain[part].ravel(),
@@ -360,7 +341,7 @@ class ControlVariatePicture:
         """Fill the film's standard error."""
         count = self._count((slice(None), slice(None)), self._reached)
         error = standard_error(
-            self._spread, count.ravel(), self._bins, self._deviation.ravel(), self._chance.ravel()
+            self._spread, count.ravel(), self._bins, self._deviation.ravel(), np.ones(count.size)
         )
         error = np.hypot(error.reshape(-1, *self._bins), self._first_error)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)

@@ -39,7 +39,7 @@ class Settings:
         that is known for each light), "free_path_untruncated" (the thesis' eq. 6.3-6.4, for study).
     transparent_bounces : how many transparent surfaces a ray may pass straight through.
     transparent : the background has alpha 0 and no radiance.
-    depth : fill `Film.depth` also where rays are traced for it alone: nothing reflects, or no sample is due.
+    depth : fill `Film.depth`, even if nothing in sight reflects and rays are traced for it alone.
     normals : fill `Film.normal` too. standard_error : fill `Film.standard_error` too.
     tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
         picture's size.

@@ -489,11 +489,6 @@ class DirectLightOverTile:
             hits.values[RGB] = 0
         return hits
 
-    def count_rays(self, rays: int) -> None:
-        """Camera rays that were cast without a first stage."""
-        with self._counting:
-            self.counts[CAMERA] += rays
-
     def rest(self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()
         reflected = self._integrand.rest(hits, lane, _inset(u), self._choice)

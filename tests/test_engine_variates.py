@@ -156,17 +156,15 @@ def test_many_lights_are_sampled_plainly():
     assert np.array_equal(film.combined, plain.combined)
 
 
-def test_every_pixel_has_a_depth_and_few_samples_leave_most_without_one():
+def test_every_pixel_has_a_sample_and_a_depth():
     scene = studio(128, 96, [area_light()])
     film = render(scene, Settings(samples=1, **CV))
-    assert (film.sample_count == 0).mean() > 0.25
+    assert film.sample_count.min() == 1 and film.sample_count.max() > 1
     sampled = render(scene, Settings(samples=1, integrator="sobol"))
     # Within a pixel depth changes by less than that, but at edges.
     close = np.abs(film.depth / sampled.depth - 1) < 0.05
     assert close.mean() > 0.97 and (film.combined[..., 3] == 1).all()
-    # Alpha is known from samples alone: none is left out.
     film = render(scene, Settings(samples=1, transparent=True, **CV))
-    assert film.sample_count.min() == 1
     wanted = render(scene, Settings(samples=16, transparent=True, integrator="sobol")).combined[..., 3]
     assert abs(film.combined[..., 3].mean() / wanted.mean() - 1) < 0.01
     assert (film.combined[..., 3][wanted == 1] == 1).all() and (film.combined[..., 3][wanted == 0] == 0).all()

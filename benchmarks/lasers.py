@@ -21,7 +21,6 @@ from engine_core.integration.point_sets import staged_points
 from engine_core.integration.sample_mean import sum_samples
 from engine_core.parts import Part, cell_of, parts_of
 from engine_core.render import PICTURES
-from engine_core.screen_picture import ScreenPicture
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 
@@ -82,11 +81,6 @@ def by_control_variates(scene: Scene, samples: int, seed: int) -> tuple[np.ndarr
     for part, layer in zip(found, film.layers[1:], strict=True):
         picture = PICTURES[type(part.by)](part.by, settings, scene.camera.region, layer, lambda: None)
         picture.build(_in_turn, lambda: False)
-        if isinstance(picture, ScreenPicture):
-            picture.allocate(_in_turn)
-            for number in range(len(picture)):
-                picture.refine(number, lambda _: None)
-            picture.finish(_in_turn)
     seconds = time.process_time() - start
     return sum(layer.radiance.astype(np.float64) for layer in film.layers[1:]), seconds
 

@@ -59,9 +59,6 @@ MANY = 32
 """Lights whose errors even out: of more, weak ones have few rays, and a whole ray counts for less of the
 budget by the root of their number, so that outlines have what they need."""
 
-VISIBLE = 0.08
-"""`OverScreen.visible`."""
-
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
@@ -109,8 +106,7 @@ class OverScreen:
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
         ``sampled`` has no error in common.
-    visible : noise of a pixel, of its brightness, that chance alone may make in a picture of one sample.
-    at_outlines : samples at least, and an even number, of pixels of no polynomial.
+    at_outlines : samples that pixels of no polynomial have at least, a power of two, or else 2.
     """
 
     at_nodes: StagedIntegrand
@@ -122,7 +118,6 @@ class OverScreen:
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None = None
     fresh: StagedIntegrand | None = None
-    visible: float = VISIBLE
     at_outlines: int = AT_OUTLINES
     alone_rays: int = 1
 

@@ -49,6 +49,9 @@ PICTURES = {
 }
 """What makes a part's layer."""
 
+FEW_LIGHTS = 32
+"""Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
+
 DEPTH_ROWS = 16
 """Of the picture, whose depth is looked for at once."""
 
@@ -306,8 +309,9 @@ class _Render:
 
     def _parts_by_control_variates(self, pool: Executor) -> str | None:
         """Build, show and refine the pictures of fog and lasers; returns why it was stopped, if it was."""
-        if not self._parts_done:
+        if not (self._parts and self._parts_done):
             return None
+        pictures, spent = [], []
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
             picture = PICTURES[type(part.by)](
@@ -317,29 +321,47 @@ class _Render:
             if not ended:
                 outcome.result()
                 if isinstance(picture, ScreenPicture):
-                    ended = self._refine_part(pool, picture, part.name)
+                    picture.show(_map_on(pool))
                 self._show_all()
+            pictures.append(picture)
+            spent.append(time.perf_counter() - begin)
+            if ended:
+                break
+        # What is worth a sample depends on all that is shown.
+        brightness = None
+        if not ended and self._settings.integrator == "control_variates":
+            brightness = self._brightness()
+        for part, picture, seconds in zip(self._parts, pictures, spent, strict=False):
+            begin = time.perf_counter()
+            if brightness is not None and not ended and isinstance(picture, ScreenPicture):
+                ended = self._refine_part(pool, picture, part.name, *brightness)
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
-            stages = picture.seconds | {"in all": time.perf_counter() - begin}
+            stages = picture.seconds | {"in all": seconds + time.perf_counter() - begin}
             self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
             self._counts.update(part.counts())
-            if ended:
-                return ended
-        return None
+        return ended
 
-    def _refine_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
-        """Show what is built, and sample what it leaves; returns why it was stopped, if it was."""
-        map_, ended = _map_on(pool), None
-        if self._sink.watched:
-            picture.show(map_)
-            self._show_all()
-        if self._settings.integrator == "control_variates":
-            outcome, ended = self._drive(pool, lambda map_, _: picture.allocate(map_), f"Sampling {name}")
-            if not ended:
-                outcome.result()
-                ended = self._sample_part(pool, picture, name)
-        picture.show(map_)
+    def _brightness(self) -> tuple[np.ndarray, float]:
+        """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""
+        around = sum(layer.radiance[..., :3].sum(axis=2) for layer in self._film.layers[1:])
+        bright = float(around.mean(dtype=np.float64))
+        if self._integrand.shows and len(self._integrand.lights) <= FEW_LIGHTS:
+            bright += float(np.square(np.sqrt(self._few_pixels().sum(axis=0)).mean()))
+        return around, bright
+
+    def _refine_part(
+        self, pool: Executor, picture: ScreenPicture, name: str, around: np.ndarray, bright: float
+    ) -> str | None:
+        """Sample what is built leaves, and show both. around, bright : as in `ScreenPicture.allocate`."""
+        outcome, ended = self._drive(
+            pool, lambda map_, _: picture.allocate(map_, around, bright), f"Sampling {name}"
+        )
+        if not ended:
+            outcome.result()
+            ended = self._sample_part(pool, picture, name)
+        picture.show(_map_on(pool))
+        self._show_all()
         return ended
 
     def _sample_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
@@ -410,7 +432,7 @@ class _Render:
     def _passes(self, pool: Executor) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
         if self._quadrature:
-            self._tolerance = QUADRATURE_TOLERANCE * self._mean_radiance()
+            self._tolerance = QUADRATURE_TOLERANCE * float(self._few_pixels().mean())
         done = 0
         while done < self._samples:
             tiles = [tile for tile in self._tiles if self._active[tile.blocks()].any()]
@@ -452,8 +474,8 @@ class _Render:
         self._show_all()
         return ended
 
-    def _mean_radiance(self) -> float:
-        """Of a few pixels all over the picture."""
+    def _few_pixels(self) -> np.ndarray:
+        """(3, B) radiance of surfaces in a few pixels all over the picture, by 4 samples each."""
         number = np.unique(np.linspace(0, self._film.depth.size - 1, 1024).astype(np.int64))
         y, x = np.divmod(number, self._film.depth.shape[1])
         x0, y0 = self._camera.region[:2]
@@ -468,7 +490,7 @@ class _Render:
             group.prepare(16)
         with np.errstate(all="ignore"):
             sums = sum_samples(integrand, pixels, pixels.key(), self._points, 0, 4, 1)
-        return float(sums.values[:3].mean() / 4)
+        return sums.values[:3] / 4
 
     def _pass(self, pool: Executor, tiles: list[_Tile], start: int, count: int) -> str | None:
         # At once what most renders need in all: nets are not cheap to begin again.

@@ -69,9 +69,6 @@ MOST_DEAR = 4
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
 
-PEAK = 4.0
-"""How many times as large a single speck may be, as far as samples nearby tell."""
-
 OUTLINE_OF_SHADOW = 0.06
 """Deviation of a sample, of the radiance, within `NEAR` pixels of regions that a shadow's outline crosses."""
 
@@ -79,10 +76,24 @@ FAITH = 0.5
 """How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
 
 OUTLINE_WEIGHT = 2.0
-"""Of their deviation: across an edge the error of a net falls faster than by the root of its points."""
+"""Of their deviation, from four samples on: across an edge the error of a net falls faster than by the root
+of its points, of one or two it does not."""
 
 NEAR = 2
-"""Pixels from an outline, where more of it may be that was not found: none of them is left to chance."""
+"""Pixels from an outline, where more of it may be that was not found."""
+
+WORTH = 10.0
+"""How many times the samples that nodes leave the budget for may be taken of a picture of one, where specks
+are what is seen; over `Settings.samples` of more, down to once."""
+
+LEAST_SHARE = 1 / 6
+"""Of that, for samples that every pixel of no polynomial has."""
+
+SPECK = 0.1
+"""Of the picture's mean radiance, how bright samples that are taken by chance may be, in a picture of one."""
+
+DARK = 1 / 16
+"""Of that mean, the radiance below which no more is asked for."""
 
 STEP = 0.05
 """Between nodes of a region with an outline in it, of the nodes' mean: no polynomial goes up one."""
@@ -122,8 +133,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
-        self._elsewhere, self._fresh, self._visible = by.elsewhere, by.fresh, by.visible
-        self._at_outlines = by.at_outlines
+        self._elsewhere, self._fresh, self._most_at_outlines = by.elsewhere, by.fresh, by.at_outlines
         self._split, self._alone_cost = by.split, max(1.0, by.split * by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         self._cost = max(1.0, by.rays / SHADOW_RAYS)
@@ -286,8 +296,11 @@ class ScreenPicture:
             self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
         # h, from which samples are told apart, has none of it.
 
-    def allocate(self, map_: Map) -> None:
-        """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled."""
+    def allocate(self, map_: Map, around: np.ndarray, bright: float) -> None:
+        """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled.
+
+        around : (H, W) radiance of all layers as far as is known, channels summed. bright : its mean.
+        """
         began = perf_counter()
         settings, (width, height) = self._settings, self._bins
         served = (self._region >= 0) & ~self._outline
@@ -298,12 +311,16 @@ class ScreenPicture:
             self._mean.reshape(-1, CHANNELS)[plain[elsewhere]] = 0
             alone = plain[~elsewhere]
         beside = self._beside.reshape(-1)[alone]
-        kinds = [(self._at_outlines, alone[~beside]), (AT_BESIDE, alone[beside])]
         self._points = staged_points("sobol", 2, self._sampled.rest_dimensions, 1, settings.seed + 1)
         self._alone_points = staged_points(
             "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
         )
-        self._prepare(self._at_outlines)
+        crossed = alone[~beside]
+        afforded = max(1.0, WORTH / settings.samples) * self._left
+        due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
+        at_outlines = 1 << int(np.log2(np.clip(due, 2, self._most_at_outlines if around.any() else 2)))
+        kinds = [(at_outlines, crossed), (AT_BESIDE, alone[beside])]
+        self._prepare(at_outlines)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
         pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
@@ -333,30 +350,15 @@ class ScreenPicture:
         said = of_region.take(self._region, mode="wrap")
         of_shadow = _within(np.append(self._crossed, False).take(self._region, mode="wrap"), NEAR)
         learned = Learned.of(found[pilot], pilot, said, float(self._mean.mean()) * CHANNELS)
-        chance = np.empty((height, width), np.float32)
         deviation = np.empty((height, width), np.float32)
-        dim = 0.25 * float(self._mean.mean()) * CHANNELS + 1e-30
-        allowed = self._visible / np.sqrt(settings.samples)
-        peaks = found.copy()
-        peaks[alone] = 0
-        peaks = np.sqrt(_largest_of_blocks(peaks.reshape(height, width))) / PEAK
 
         def expect(rows: slice) -> None:
-            """Deviations, and the least chances, of some rows of pixels."""
-            here = self._region[rows]
+            """Deviations of some rows of pixels."""
             # What a node says of its own noise is known: few samples would miss what is rare in it.
-            bright = self._mean[rows].sum(axis=2)
-            np.maximum(bright, 0, out=bright)
-            own = np.square(inside.take(here, mode="wrap"))
-            own += np.square(OUTLINE_OF_SHADOW * bright) * of_shadow[rows]
+            lit = np.maximum(self._mean[rows].sum(axis=2), 0)
+            own = np.square(inside.take(self._region[rows], mode="wrap"))
+            own += np.square(OUTLINE_OF_SHADOW * lit) * of_shadow[rows]
             deviation[rows] = learned.deviation(said[rows], rows, own)
-            # What is sampled by chance is noisier by it: only where none sees that, whatever it costs.
-            bright += np.float32(dim)
-            bright *= np.float32(allowed)
-            least = np.square(deviation[rows] / bright)
-            np.divide(_of_pixels(peaks, rows, width), bright, out=bright)
-            np.maximum(least, bright, out=least)
-            np.minimum(least, 1, out=chance[rows])
 
         map_(expect, self._rows())
         deviation.reshape(-1)[pilot] = learned.of_samples(
@@ -369,28 +371,37 @@ class ScreenPicture:
                     found[which], which, np.ones_like(said), 0.0
                 ).of_samples()
         # Where a sample is cheaper, or brings more, more of them are worth it.
-        weight = OUTLINE_WEIGHT * np.sqrt(self._cost / self._alone_cost)
-        spent = sum(n * len(which) for n, which in kinds) * self._alone_cost
-        budget = self._left - len(pilot) * self._cost - spent
+        weight = min(settings.samples**0.5, OUTLINE_WEIGHT) * np.sqrt(self._cost / self._alone_cost)
+        budget = afforded
         of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
         of_served = float(deviation.sum(dtype=np.float64)) - of_alone
         wanted = deviation.ravel()
         if of_served + of_alone < np.finfo(np.float32).tiny:
             # Black, as far as is seen: what is spread evenly in any case is all.
-            wanted, budget = np.ones_like(wanted), DEFENSIVE * budget
+            wanted, budget = np.ones_like(wanted), DEFENSIVE * self._left
             of_served, of_alone = float(wanted.size - alone.size), float(alone.size)
         mean_cost = (of_served * self._cost + weight * of_alone * self._alone_cost) / max(
             of_served + weight * of_alone, 1e-300
         )
         budget /= max(mean_cost, 1.0)
-        if weight != 1:
-            wanted = wanted.copy()
-            wanted[alone] *= weight
-        due, least = sample_counts(wanted, max(budget, 1), DEFENSIVE, CHANCE / dear)
-        np.maximum(chance, least.reshape(height, width), out=chance)
-        chance.reshape(-1)[pilot] = 1
-        # Next to an outline there may be a bit of it that was not seen.
-        chance[_within(~served, NEAR)] = 1
+        # In proportion to the deviation, specks of what is left to chance are of one height: that it is low
+        # is all that is asked for. In the dark lower ones are seen.
+        lit = DARK * bright > np.finfo(np.float32).tiny
+        dim = bright / np.clip(around, DARK * bright, bright) if lit else 1.0
+        wanted = wanted * np.where(served, np.sqrt(dim), weight).ravel()
+        in_all = float(wanted.sum(dtype=np.float64))
+        budget = max(1.0, min(budget, in_all * settings.samples / max(SPECK * bright, 1e-300)))
+        due, chance = sample_counts(wanted, budget, DEFENSIVE, CHANCE / dear)
+        chance = chance.reshape(height, width).astype(np.float32)
+        # What may have been missed is left to chance no more than what is known.
+        seen = self._mean.sum(axis=2)
+        seen.reshape(-1)[alone] = self._residual.reshape(-1, CHANNELS)[alone].sum(axis=1)
+        missed = _missed(~served, seen)
+        missed *= np.float32(budget / max(in_all, 1e-300))
+        np.fmin(missed, 1, out=missed)
+        np.maximum(chance, missed, out=chance)
+        for surely in (pilot, alone):
+            chance.reshape(-1)[surely] = 1
         due[~drawn(chance.ravel(), settings.seed + 7)] = 0
         due = np.minimum(due, MOST).astype(np.int32).reshape(height, width)
         np.maximum(due, self._count, out=due)
@@ -565,14 +576,20 @@ def _of_pixels(of_blocks: np.ndarray, rows: slice, width: int) -> np.ndarray:
     return np.repeat(np.repeat(values, edge, axis=1)[:, :width], edge, axis=0)[: rows.stop - rows.start]
 
 
-def _largest_of_blocks(a: np.ndarray) -> np.ndarray:
-    """The largest of ``a`` (H, W) in each block and the eight around."""
+def _missed(outlines: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """(H, W) how far f may be off h beside outlines (H, W), where a bit of them was not found.
+
+    Part of the most that is seen around, half as much with each pixel. bright : (H, W) radiance.
+    """
+    reach = NEAR - 1
     for axis in range(2):
-        a = np.maximum.reduceat(a, np.arange(0, a.shape[axis], 1 << LOG_BLOCK), axis=axis)
-        padded = np.pad(a, [(1, 1) if i == axis else (0, 0) for i in range(2)])
-        low, middle, high = (np.take(padded, np.arange(k, k + a.shape[axis]), axis=axis) for k in range(3))
-        a = np.maximum(np.maximum(low, middle), high)
-    return a
+        padded = np.pad(bright, [(reach, reach) if i == axis else (0, 0) for i in range(2)])
+        windows = [padded.take(np.arange(k, k + bright.shape[axis]), axis=axis) for k in range(2 * reach + 1)]
+        bright = np.maximum.reduce(windows)
+    part = np.zeros(outlines.shape, np.float32)
+    for distance in range(NEAR, 0, -1):
+        part[_within(outlines, distance)] = 0.5**distance
+    return part * bright
 
 
 def _within(a: np.ndarray, distance: int) -> np.ndarray:

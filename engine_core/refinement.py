@@ -44,7 +44,10 @@ FIRST_PASS = 8
 DEFENSIVE = 0.1
 """Of the residual samples, spread evenly."""
 
-FREE = 0.25
+SHARE = 0.25
+"""Of all samples, spent on the polynomials. Fewer than is best without a pilot: it knows more than nodes."""
+
+FREE = 0.1
 """The part of a pixel's first sample that the budget pays at least. All of it, and of one or two samples a
 pixel none would be left for where the error is."""
 
@@ -76,7 +79,7 @@ class ControlVariatePicture:
         choice = EveryLight() if len(integrand.lights) > 1 else None
         self.integrand = DirectLightOverTile(integrand, choice, check, seen=not integrand.sees)
         self.covered = 4
-        self._options = ControlVariates()
+        self._options = ControlVariates(share=SHARE)
         self.regions = self.nodes = 0
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> bool:

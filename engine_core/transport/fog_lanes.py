@@ -116,7 +116,7 @@ class FogSegments:
     ray : (K,) ascending. origin, direction : (3, K) float64, of the rays. start, end : (K,) float64.
     depth : (C, K) before the start. inside : (K,) bits. mixture : (K,) rows, or (1,) if all are the same, of
     sigma (C, R) extinction, scattering (G, 3, R), of those phase functions that are used, with anisotropy
-    (G,), and of thinnest and densest (R,) extinction of the channels that scatter.
+    (G,), and of thinnest and densest (R,) extinction of the channels that scatter. shift : (K,) of `Lanes`.
     """
 
     ray: np.ndarray
@@ -133,6 +133,7 @@ class FogSegments:
     thinnest: np.ndarray
     densest: np.ndarray
     through: np.ndarray | None
+    shift: np.ndarray
 
     @staticmethod
     def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> FogSegments:
@@ -153,11 +154,13 @@ class FogSegments:
         if not (ray is None and len(which) == len(rays)):
             own = found.ray[segments]
             origin, direction = take(origin, own), take(direction, own)
+        shift = _mixed(origin + direction)
         return FogSegments(
             which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
             found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
             np.where(colours, wide, np.inf).min(axis=0), np.where(colours, wide, 0).max(axis=0),
             None if rays.through is None else rays.through[:, segments],
+            shift,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -170,6 +173,7 @@ class Lanes(ABC):
     segment : (n,) row, light : (n,) row, or (1,) of the only light.
     breaks : (B, n) ascending places s between which the integrand is smooth.
     casts_shadow : (n,) or (1,) bool.
+    shift : (n,) float32 in [0, 1), as if by chance, another one for each camera ray.
     """
 
     # What may have one entry for all lanes: these are not taken from then.
@@ -185,6 +189,7 @@ class Lanes(ABC):
         self.casts_shadow = lights.casts_shadow.take(light)
         self.breaks = np.zeros((0, len(segment)))
         self.along = take(segments.direction, segment).astype(np.float32)
+        self.shift = segments.shift.take(segment)
         self.begin: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -452,6 +457,14 @@ class TowardsSuns(Lanes):
         _, position = self._place(s)
         towards = np.broadcast_to(self._towards[:, None], position.shape)
         return ~surfaces.occluded(_rows(position), _rows(towards), FAR).reshape(position.shape[1:])
+
+
+def _mixed(a: np.ndarray) -> np.ndarray:
+    """(K,) float32 in [0, 1), as if by chance, of the bits of vectors (3, K) float64."""
+    x, y, z = a.view(np.uint64)
+    bits = (x * np.uint64(0x9E3779B97F4A7C15) ^ y) * np.uint64(0xD6E8FEB86659FD93) ^ z
+    bits = (bits ^ bits >> np.uint64(32)) * np.uint64(0xD6E8FEB86659FD93)
+    return (bits >> np.uint64(40)).astype(np.float32) * np.float32(2.0**-24)
 
 
 def _rows(a: np.ndarray) -> np.ndarray:

@@ -24,13 +24,14 @@ from .direct_light import SHADOW
 from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, FogSegments, Lanes, TowardsSuns
 from .single_scattering import FogRays, Scattered, SingleScattering
 
-NODES, NODES_OF_SPOTS = 17, 17
-"""Where visibility is asked for in a lane: what is thinner than a step may be missed, first by spots."""
+NODES, NODES_OF_SPOTS = 33, 17
+"""Where visibility is asked for in a lane, which of spots is in their cones: what is thinner than a step may
+be missed."""
 
 BISECTIONS = 6
 """Of the step in which a shadow has its edge."""
 
-CHECKS = 16
+CHECKS = 32
 """Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
 
 RAY_POINTS = 8
@@ -210,16 +211,17 @@ class ScatteredAlongRay(Scattered):
         (n,); None for 0.
         """
         pieces = _Pieces(lanes, self._quadrature)
-        s = np.linspace(0, 1, nodes)
-        s[[0, -1]] = _INSET, 1 - _INSET
-        seen = self._seen(lanes, s[:, None])
+        # Samples of a pixel divide the work: their checks are evenly spread in steps that are the same.
+        shift = lanes.shift if u is None else np.full(len(lanes), 0.5, np.float32)
+        s = _places(nodes, shift)
+        seen = self._seen(lanes, s)
         result = pieces.whole * seen[-1]
         step, lane = np.nonzero(seen[1:] != seen[:-1])
         error = edges = None
         low = high = np.zeros(0)
         if lane.size:
             part, lit = lanes.take(lane), seen[step, lane]
-            low, high = s[step], s[step + 1]
+            low, high = s[step, lane], s[step + 1, lane]
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + high)
                 same = self._seen(part, middle) == lit
@@ -240,29 +242,30 @@ class ScatteredAlongRay(Scattered):
                 change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
             result += _sums(lane, change, len(lanes))
         if u is not None:
-            result += self._checked(lanes, pieces, s, seen, (step, lane, low, high), u[1])
+            result += self._checked(lanes, pieces, shift, seen, (step, lane, low, high), u[1])
         return result, error, edges
 
     def _checked(
         self,
         lanes: Lanes,
         pieces: _Pieces,
-        s: np.ndarray,
+        shift: np.ndarray,
         seen: np.ndarray,
         edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
         u: np.ndarray,
     ) -> np.ndarray:
-        """(G, C, n) what is missing where nodes s (K,) say ``seen`` (K, n), by a few rays placed by u (n,).
+        """(G, C, n) what is missing where nodes say ``seen`` (K, n), by a few rays placed by u (n,).
 
         edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
         # Rays ask what is seen at places in each part of a lane; how right the polynomial is needs but one.
         at = np.concatenate([u[None], (u + np.arange(CHECKS, dtype=np.float32)[:, None]) / CHECKS])
-        cell, here = np.searchsorted(s[1:-1], at, side="right"), np.arange(len(lanes))
+        steps, here = len(seen) - 1, np.arange(len(lanes))
+        cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
         believed, known = seen[cell, here], np.ones(at.shape, bool)
         step, lane, low, high = edges
         if lane.size:
-            row = np.full((len(s) - 1, len(lanes)), -1)
+            row = np.full((steps, len(lanes)), -1)
             row[step, lane] = np.arange(len(lane))
             row = row[cell, here]
             near = np.nonzero(row >= 0)
@@ -347,6 +350,16 @@ class AlongRay(InnerRule):
             dense[:, which], of_all[:, which] = values, told
             values, told = dense, of_all
         return values, told, count * self._cost
+
+
+def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
+    """(K, n) where in lanes visibility is asked for: at both ends, and by even steps, shifted (n,), between.
+
+    What is thinner than a step is seen by some of the rays nearby, instead of by none or by all of them.
+    """
+    s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
+    s[0], s[-1] = _INSET, 1 - _INSET
+    return s
 
 
 def _sums(lane: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -58,8 +58,11 @@ MOST_REGIONS = 400_000
 class ControlVariatePicture:
     """H of a whole picture, and the residual of its tiles.
 
-    regions, nodes : how many there are.
+    regions, nodes : how many there are. deviation_a_sample : sum over pixels of the deviation of a sample,
+        channels summed, over how many samples are due; None as long as that is not known.
     """
+
+    deviation_a_sample: float | None = None
 
     def __init__(
         self,
@@ -207,6 +210,7 @@ class ControlVariatePicture:
             enough = np.ceil(np.log2(np.maximum(error / wanted, 1)) * 4 / 3).astype(np.int64)
             least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
             self._due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
+        self.deviation_a_sample = float(error.sum(dtype=np.float64) / max(self._due.sum(), error.size))
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         for group in self._points:
             group.prepare(int(self._due.max()))

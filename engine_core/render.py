@@ -221,7 +221,7 @@ class _Render:
         own = executor is None
         pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
         try:
-            ended = self._parts_by_control_variates(pool) or self._by_control_variates(pool)
+            ended = self._by_control_variates(pool)
             if ended is None and not self._sampled:
                 ended = self._look_for_depth(pool) if self._settings.depth else "samples"
             elif ended is None:
@@ -241,11 +241,28 @@ class _Render:
     # -- control variates --------------------------------------------------------------------------
 
     def _by_control_variates(self, pool: Executor) -> str | None:
-        """Build, show, refine; returns why it ended, None if plain samples serve this picture better."""
+        """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
+        parts, ended = self._build_parts(pool)
+        surfaces = None
+        if not ended:
+            surfaces, ended = self._build_surfaces(pool)
+        ended = self._refine_parts(pool, parts, surfaces, ended)
+        if surfaces is None:
+            return ended
+        begin = time.perf_counter()
+        ended = ended or self._refine(pool, surfaces)
+        if self._settings.standard_error and self._settings.integrator != "cv_only":
+            surfaces.finish()
+        self._stages["seconds sampling"] = time.perf_counter() - begin
+        self._count(surfaces.integrand)
+        return ended or "samples"
+
+    def _build_surfaces(self, pool: Executor) -> tuple[ControlVariatePicture | None, str | None]:
+        """None if plain samples serve this picture better; and why it was stopped, if it was."""
         settings = self._settings
         alone = settings.integrator == "cv_only"
         if settings.integrator != "control_variates" and not alone:
-            return None
+            return None, None
         why = obstacles(self._integrand)
         if why:
             if alone:
@@ -253,7 +270,7 @@ class _Render:
                     f"CV Only can't serve this scene ({why}): it is sampled as by Sobol"
                 )
             self._integrals["control variate"] = f"skipped: {why}"
-            return None
+            return None, None
         begin = time.perf_counter()
         picture = ControlVariatePicture(
             self._integrand, settings, self._camera.region, self._surface, self._check
@@ -262,22 +279,14 @@ class _Render:
         built = time.perf_counter()
         self._regions, self._nodes = picture.regions, picture.nodes
         self._stages["seconds control variate"] = built - begin
-        if ended:
-            self._integrals["control variate"] = "given up: stopped while it was built"
+        if ended or not outcome.result():
+            given_up = "stopped while it was built" if ended else "polynomials would not pay"
+            self._integrals["control variate"] = f"given up: {given_up}"
             self._count(picture.integrand)
-            return ended
-        helps = outcome.result()
-        if helps:
-            self._integrals["control variate"] = "built"
-            self._show_all()
-            ended = self._refine(pool, picture)
-            if settings.standard_error and not alone:
-                picture.finish()
-            self._stages["seconds sampling"] = time.perf_counter() - built
-        else:
-            self._integrals["control variate"] = "given up: polynomials would not pay"
-        self._count(picture.integrand)
-        return (ended or "samples") if helps else None
+            return None, ended
+        self._integrals["control variate"] = "built"
+        self._show_all()
+        return picture, None
 
     def _drive(self, pool: Executor, build: Callable, text: str) -> tuple[Future, str | None]:
         """Run ``build(map_, enough)``, which uses the workers; its future, and why it was stopped if it was.
@@ -307,11 +316,13 @@ class _Render:
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
-    def _parts_by_control_variates(self, pool: Executor) -> str | None:
-        """Build, show and refine the pictures of fog and lasers; returns why it was stopped, if it was."""
+    def _build_parts(self, pool: Executor) -> tuple[list[tuple], str | None]:
+        """Pictures of fog and lasers, built and shown, each with the seconds that took, and why it was
+        stopped, if it was.
+        """
         if not (self._parts and self._parts_done):
-            return None
-        pictures, spent = [], []
+            return [], None
+        built, ended = [], None
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
             picture = PICTURES[type(part.by)](
@@ -323,18 +334,23 @@ class _Render:
                 if isinstance(picture, ScreenPicture):
                     picture.show(_map_on(pool))
                 self._show_all()
-            pictures.append(picture)
-            spent.append(time.perf_counter() - begin)
+            built.append((picture, time.perf_counter() - begin))
             if ended:
                 break
+        return built, ended
+
+    def _refine_parts(
+        self, pool: Executor, parts: list[tuple], surfaces: ControlVariatePicture | None, ended: str | None
+    ) -> str | None:
+        """Sample what was built, unless it is ``ended``; returns why it was stopped, if it was."""
         # What is worth a sample depends on all that is shown.
-        brightness = None
-        if not ended and self._settings.integrator == "control_variates":
-            brightness = self._brightness()
-        for part, picture, seconds in zip(self._parts, pictures, spent, strict=False):
+        beside = None
+        if parts and not ended and self._settings.integrator == "control_variates":
+            beside = *self._brightness(), None if surfaces is None else surfaces.deviation_a_sample
+        for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
-            if brightness is not None and not ended and isinstance(picture, ScreenPicture):
-                ended = self._refine_part(pool, picture, part.name, *brightness)
+            if beside is not None and not ended and isinstance(picture, ScreenPicture):
+                ended = self._refine_part(pool, picture, part.name, *beside)
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
             stages = picture.seconds | {"in all": seconds + time.perf_counter() - begin}
@@ -351,11 +367,11 @@ class _Render:
         return around, bright
 
     def _refine_part(
-        self, pool: Executor, picture: ScreenPicture, name: str, around: np.ndarray, bright: float
+        self, pool: Executor, picture: ScreenPicture, name: str, *beside: np.ndarray | float | None
     ) -> str | None:
-        """Sample what is built leaves, and show both. around, bright : as in `ScreenPicture.allocate`."""
+        """Sample what is built leaves, and show both. beside : as in `ScreenPicture.allocate`."""
         outcome, ended = self._drive(
-            pool, lambda map_, _: picture.allocate(map_, around, bright), f"Sampling {name}"
+            pool, lambda map_, _: picture.allocate(map_, *beside), f"Sampling {name}"
         )
         if not ended:
             outcome.result()

@@ -92,6 +92,9 @@ LEAST_SHARE = 1 / 6
 SPECK = 0.1
 """Of the picture's mean radiance, how bright samples that are taken by chance may be, in a picture of one."""
 
+LEAST_OF_BUDGET = 1 / 2
+"""How much of what it may spend a picture does, though surfaces deviate more."""
+
 DARK = 1 / 16
 """Of that mean, the radiance below which no more is asked for."""
 
@@ -296,10 +299,13 @@ class ScreenPicture:
             self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
         # h, from which samples are told apart, has none of it.
 
-    def allocate(self, map_: Map, around: np.ndarray, bright: float) -> None:
+    def allocate(
+        self, map_: Map, around: np.ndarray, bright: float, of_surfaces: float | None = None
+    ) -> None:
         """Sample a few pixels, which stay, and decide by them and the nodes how often all are sampled.
 
         around : (H, W) radiance of all layers as far as is known, channels summed. bright : its mean.
+        of_surfaces : `ControlVariatePicture.deviation_a_sample`, None where there is none.
         """
         began = perf_counter()
         settings, (width, height) = self._settings, self._bins
@@ -384,6 +390,10 @@ class ScreenPicture:
             of_served + weight * of_alone, 1e-300
         )
         budget /= max(mean_cost, 1.0)
+        if of_surfaces:
+            # Variance falls as the square of that: beyond this a sample on surfaces is worth more.
+            as_there = (of_served + of_alone) / (of_surfaces * max(mean_cost, 1.0) ** 0.5)
+            budget = min(budget, max(as_there, LEAST_OF_BUDGET * budget))
         # In proportion to the deviation, specks of what is left to chance are of one height: that it is low
         # is all that is asked for. In the dark lower ones are seen.
         lit = DARK * bright > np.finfo(np.float32).tiny

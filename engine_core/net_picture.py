@@ -21,7 +21,6 @@ import numpy as np
 
 from .image.film import LARGEST, Layer
 from .integration.integrand import values_at
-from .integration.integrated import Integrated
 from .integration.mapping import Map
 from .integration.point_sets import RandomPoints, SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
@@ -33,17 +32,29 @@ from .transport.camera_hits import Pixels
 CELL = 4
 """Edge of a cell in pixels."""
 
-STRIP = 8
-"""Rows of cells at once."""
+TILE = 8
+"""Cells along the edge of a tile, all of which follow as many points."""
+
+MOST_OFTEN = 2
+"""Binary logarithm of how many times as many points a tile has as the mean at most, or as few at least."""
+
+FEWEST = 8
+"""Points of a tile at least."""
+
+GROWTH = 0.8
+"""Points of a tile go as its deviation to this power: variances of nets fall as points to the power 1.5."""
+
+PILOTS, PILOT_POINTS = 2, 64
+"""Along a tile's edge, places that tell its deviation; and points of each, a power of four."""
 
 LOG_SURE = 6
 SURE = 1 << LOG_SURE
 """Chances are whole numbers of 1 / SURE, so that no rounding makes them others than they are."""
 
-LEAST = 2
+LEAST = 1
 """Of these, chance of a point on which all corners agree."""
 
-DIFFERENT = 0.5
+DIFFERENT = 1.0
 """How much a point's corners differ, of the mean of all points, so that anything may lie between them."""
 
 NEXT = 0.25
@@ -55,14 +66,18 @@ ROUGH = 0.4
 PLACES = 8
 """In these pixels, a power of two."""
 
-ON_OUTLINES, BESIDE_OUTLINES = 16, 8
-"""Camera rays of a pixel that an outline crosses, and of the others of its cell."""
+ON_OUTLINES = 2
+"""Samples of a pixel that an outline crosses, over the points of its tile. Each has a camera ray of its own,
+so that all dimensions are one net: an error a third less than with several points of a ray."""
 
-SPLIT = 8
-"""Camera rays for as many points as the net has."""
+BESIDE_OUTLINES = 8
+"""Camera rays of the others of its cell, for as many points as its tile has."""
 
 FRESH = 2
 """The net's points over those of a corner's own net."""
+
+TOGETHER = 1 << 11
+"""Points of the nets of corners side by side, that are one net together, at most."""
 
 AROUND = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
@@ -93,6 +108,7 @@ class NetPicture:
         self.seconds: dict[str, float] = {}
         self._width, self._height = region[2] - region[0], region[3] - region[1]
         columns, rows = -(-self._width // CELL), -(-self._height // CELL)
+        self._tiles = -(-rows // TILE), -(-columns // TILE)
         self._corners = rows + 1, columns + 1
         self.regions, self.nodes = rows * columns, self._corners[0] * self._corners[1]
 
@@ -103,17 +119,32 @@ class NetPicture:
         # Nothing is between corners on either side of an outline.
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
         beside = _whole_cells(outline)
+        self._served = ~(beside | elsewhere)
+        self._counts = self._allocated(map_)
+        self._levels = np.unique(self._counts).tolist()
+        work = [
+            (row, count) for row in range(self._tiles[0]) for count in np.unique(self._counts[row]).tolist()
+        ]
+        count_of = self._of_pixels(self._counts)
         for number in range(self._rounds):
             self._prepare(number)
-            self._served = ~(beside | elsewhere)
-            map_(self._strip, range(0, self._height, STRIP * CELL))
+            # In their order: what tiles share may differ in its last bits.
+            for row, column, means in map_(self._strip, work):
+                for count, values in means.items():
+                    self._means[count][:, row[:, None], column] = values
             if self._alone:
                 continue
-            self._correct()
-            for which, cameras in (outline, ON_OUTLINES), (beside & ~outline, BESIDE_OUTLINES):
-                index = np.flatnonzero(which & ~elsewhere)
-                step = max(1, 4 * BATCH // (cameras * self._split))
-                map_(self._sample, [(index[low : low + step], cameras) for low in range(0, len(index), step)])
+            map_(self._correct, self._levels)
+            for count in self._levels:
+                of_tile = ~elsewhere & (count_of == count)
+                for which, cameras, split in (
+                    (outline, ON_OUTLINES * count, 1),
+                    (beside & ~outline, BESIDE_OUTLINES, max(1, count // BESIDE_OUTLINES)),
+                ):
+                    index = np.flatnonzero(which & of_tile)
+                    step = max(1, 4 * BATCH // (cameras * split))
+                    parts = [index[low : low + step] for low in range(0, len(index), step)]
+                    map_(self._sample, [(part, cameras, split) for part in parts])
         layer = self._layer
         for term in (layer.radiance, layer.control_variate, layer.residual):
             np.clip(term, -LARGEST, LARGEST, out=term)
@@ -126,126 +157,206 @@ class NetPicture:
         seed, dimensions = self._settings.seed, self._integrand.rest_dimensions
         if number:
             seed = int(hash_combine(seed, number)[0])
-        net = SobolPoints(range(dimensions), seed, 103)
-        net.prepare(self._points)
-        self._net = net.points(np.zeros(1, np.uint32), 0, self._points)[:, 0]
-        self._fresh = Integrated(self._integrand, max(1, self._points // FRESH), seed, fixed=False)
+        net, most = SobolPoints(range(dimensions), seed, 103), int(self._counts.max())
+        net.prepare(most)
+        # Fewer points are the first of them.
+        self._net = net.points(np.zeros(1, np.uint32), 0, most)[:, 0]
+        self._fresh = SobolPoints(range(dimensions), seed, 102)
+        self._fresh.prepare(max(TOGETHER, most // FRESH))
         self._places, self._draws = SobolPoints(range(2), seed, 104), RandomPoints(1, seed, 105)
         self._places.prepare(PLACES)
-        self._split = max(1, self._points // SPLIT)
-        self._plain = staged_points("sobol", 2, dimensions, self._split, seed + 1)
-        for group, n in zip(self._plain, (1, self._split), strict=True):
-            group.prepare(ON_OUTLINES * n)
-        self._off = np.zeros((3, *self._corners))
+        # One point of each camera ray, and several.
+        self._plain = {one: staged_points("sobol", 2, dimensions, 2 - one, seed + 1) for one in (True, False)}
+        for group in (*self._plain[True], *self._plain[False]):
+            group.prepare(ON_OUTLINES * most)
+        # At corners, the means of the first points of the net, as many as tiles have, where they are known.
+        self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
+        self._by_fresh = np.zeros((3, *self._corners))
+
+    def _allocated(self, map_: Map) -> np.ndarray:
+        """(rows, columns) int of tiles: points of each, powers of two; on average about as many as asked for.
+
+        Points of their own say where many are of use, so that those of the nets stay free of what they show.
+        """
+        rows, columns = self._tiles
+        step = TILE * CELL // PILOTS
+        y, x = (
+            np.minimum(np.arange(n * PILOTS) * step + step // 2, end - 1)
+            for n, end in ((rows, self._height), (columns, self._width))
+        )
+        points = SobolPoints(range(self._integrand.rest_dimensions), self._settings.seed, 106)
+        points.prepare(PILOT_POINTS)
+        pixels = self._pixels(*(a.ravel() for a in np.meshgrid(x, y)))
+        size = max(1, BATCH // PILOT_POINTS)
+
+        def roughness(low: int) -> np.ndarray:
+            self._check()
+            some = pixels[low : low + size]
+            net = points.points(some.key(), 0, PILOT_POINTS)
+            middle = np.full((2, len(some), 1), 0.5, np.float32)
+            stage = self._integrand.first(some, middle)
+            f = values_at(self._integrand, stage, len(some), None, net.reshape(len(net), -1))[:3]
+            return _roughness(f.reshape(3, len(some), -1), net)
+
+        found = np.concatenate(map_(roughness, range(0, len(pixels), size)))
+        found = found.reshape(rows, PILOTS, columns, PILOTS).mean(axis=(1, 3))
+        # What few pilots missed, those around may tell.
+        weights = np.array([1.0, 2.0, 1.0])
+        for axis in range(2):
+            found = _sum_around(found, axis, weights) / _sum_around(np.ones_like(found), axis, weights)
+        return _shared(found ** (GROWTH / 2), self._points, FEWEST)
+
+    def _of_pixels(self, a: np.ndarray) -> np.ndarray:
+        """(H, W) of pixels, of what is one number for each tile."""
+        edge = TILE * CELL
+        return a.repeat(edge, axis=0).repeat(edge, axis=1)[: self._height, : self._width]
 
     def _pixels(self, x: np.ndarray, y: np.ndarray) -> Pixels:
         x, y = (x + self._region[0]).astype(np.int32), (y + self._region[1]).astype(np.int32)
         return Pixels(x, y, cell_of(x, y, self._region))
 
-    def _sample(self, work: tuple[np.ndarray, int]) -> None:
-        """f itself in some pixels (B,), by so many camera rays each."""
+    def _sample(self, work: tuple[np.ndarray, int, int]) -> None:
+        """f itself in some pixels (B,), by so many camera rays each, and points of each of these."""
         self._check()
-        index, cameras = work
+        index, cameras, split = work
         layer = self._layer
         y, x = np.divmod(index, self._width)
         pixels = self._pixels(x, y)
-        sums = sum_samples(self._integrand, pixels, pixels.key(), self._plain, 0, cameras, self._split, BATCH)
+        points = self._plain[split == 1]
+        sums = sum_samples(self._integrand, pixels, pixels.key(), points, 0, cameras, split, BATCH)
         value = sums.values[:3].T / (cameras * self._rounds)
         layer.radiance[y, x] += value
         layer.residual[y, x] += value
         layer.sample_count[y, x] += cameras
         # As if half of all points were dark.
-        error = np.square(value.mean(axis=1) * self._rounds) / (cameras * self._split) ** 1.5
+        error = np.square(value.mean(axis=1) * self._rounds) / (cameras * split) ** 1.5
         layer.standard_error[y, x] += error[:, None]
 
-    def _strip(self, low: int) -> None:
-        """Some rows of cells from pixel row ``low`` on."""
-        high = min(low + STRIP * CELL, self._height)
-        columns, rows = (
-            np.append(np.arange(start, end, CELL), end) for start, end in ((0, self._width), (low, high))
-        )
-        values = self._at_corners(columns, rows)
-        means = values.mean(axis=3, dtype=np.float64)
+    def _strip(self, work: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, dict[int, np.ndarray]]:
+        """Of a row of tiles, those that have ``count`` points. Returns rows and columns of their corners, and
+        (3, rows, columns) means there of as many points of the net, and of as few as other tiles have.
+        """
+        tile, count = work
+        low, high = (min((tile + i) * TILE * CELL, self._height) for i in (0, 1))
+        own = self._counts[tile] == count
+        # Corners of these tiles alone: what is between others is of no use.
+        column = np.zeros(self._corners[1], bool)
+        last = len(column) - 1
+        for shift in range(TILE + 1):
+            column[np.minimum(np.flatnonzero(own) * TILE + shift, last)] = True
+        column = np.flatnonzero(column)
+        row = np.arange(low // CELL, -(-high // CELL) + 1)
+        values = self._at_corners(row, column, count)
+        means = {n: values[..., :n].mean(axis=3, dtype=np.float64) for n in self._levels if n <= count}
         chance, spread = _chances(values.sum(axis=0))
-        y, x = np.nonzero(self._served[low:high])
+        y, x = np.nonzero(self._served[low:high] & own.repeat(TILE * CELL)[: self._width])
+        y += low
+        across = np.zeros(last + 1, np.intp)
+        across[column] = np.arange(len(column))
+        j, i = y // CELL - row[0], across.take(x // CELL)
         if not self._alone:
             # Where most must be asked, different places in a pixel might have to be, too.
-            rough = (chance.mean(axis=2) > ROUGH * SURE)[y // CELL, x // CELL]
-            self._add_rough(x[rough], y[rough] + low, spread[y[rough] // CELL, x[rough] // CELL])
-            y, x = y[~rough], x[~rough]
-        row, column = y // CELL, x // CELL
-        inner = (x - columns.take(column), y - rows.take(row) + low)
-        size = np.diff(columns).take(column), np.diff(rows).take(row)
-        corner = row * len(columns) + column
-        corners = np.stack([corner, corner + 1, corner + len(columns), corner + len(columns) + 1])
-        h = _at_middles(means, high - low, self._width)[:, y, x]
-        residual, variance = np.zeros_like(h), spread[row, column] / self._points**1.5
+            rough = (chance.mean(axis=2) > ROUGH * SURE)[j, i]
+            self._add_rough(x[rough], y[rough], spread[j[rough], i[rough]], count)
+            y, x, j, i = y[~rough], x[~rough], j[~rough], i[~rough]
+        inner, size = self._in_cells(x, y)
+        corners = _corners_of(j, i, len(column))
+        h = _between(means[count].reshape(3, -1), corners, inner, size)
+        residual, variance = np.zeros_like(h), spread[j, i] / count**1.5
         if not self._alone:
             values = np.ascontiguousarray(values.reshape(3, -1).T)  # (corners * N, 3)
-            cell = row * (len(columns) - 1) + column
-            chance = chance.reshape(-1, self._points)
+            cell = j * (len(column) - 1) + i
+            chance = chance.reshape(-1, count)
             due = np.cumsum(chance, axis=1, dtype=np.uint16)
-            rays = np.cumsum(chance.mean(axis=1).take(cell) * (self._points / SURE))
+            rays = np.cumsum(chance.mean(axis=1).take(cell) * (count / SURE))
             firsts = np.searchsorted(rays, np.arange(0, rays[-1] + 1, BATCH)) if len(rays) else []
             for part in map(slice, firsts, [*firsts[1:], len(x)]):
-                where = x[part], y[part] + low, [a[part] for a in inner], [a[part] for a in size]
+                where = x[part], y[part], [a[part] for a in inner], [a[part] for a in size]
                 found = self._asked(*where, corners[:, part], cell[part], values, chance, due)
                 residual[:, part] = found[:3]
                 variance[part] += found[3]
-        y += low
         layer = self._layer
-        layer.control_variate[y, x] += h.T / self._rounds
-        layer.residual[y, x] += residual.T / self._rounds
-        layer.radiance[y, x] += (h + residual).T / self._rounds
-        layer.sample_count[y, x] += not self._alone
-        layer.standard_error[y, x] += variance[:, None]
+        at = y * self._width + x
+        _add(layer.control_variate, at, h.T / self._rounds)
+        _add(layer.residual, at, residual.T / self._rounds)
+        h += residual
+        _add(layer.radiance, at, h.T / self._rounds)
+        _add(layer.standard_error, at, variance[:, None])
+        if not self._alone:
+            layer.sample_count[y, x] += 1
+        return row, column, means
 
-    def _add_rough(self, x: np.ndarray, y: np.ndarray, spread: np.ndarray) -> None:
-        """All points of the net in pixels (B,), each at one of `PLACES`; spread : (B,) of points.
+    def _add_rough(self, x: np.ndarray, y: np.ndarray, spread: np.ndarray, count: int) -> None:
+        """All ``count`` points of the net in pixels (B,), each at one of `PLACES`; spread : (B,) of points.
 
         It is the same net as of all others: that it showed where it is needed must not change the mean.
         """
-        step = max(1, BATCH // self._points)
+        step, net = max(1, BATCH // count), self._net[:, :count]
         for low in range(0, len(x), step):
             self._check()
             part = slice(low, min(low + step, len(x)))
             pixels, n = self._pixels(x[part], y[part]), len(x[part])
             stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, PLACES))
             # Consecutive points are nets of their own.
-            f = values_at(self._integrand, stage, n * PLACES, None, np.tile(self._net, n))[:3]
+            f = values_at(self._integrand, stage, n * PLACES, None, np.tile(net, n))[:3]
             value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T / self._rounds
             at, layer = (y[part], x[part]), self._layer
             layer.radiance[at] += value
             layer.residual[at] += value
             layer.sample_count[at] += PLACES
-            layer.standard_error[at] += (spread[part] / self._points**1.5)[:, None]
+            layer.standard_error[at] += (spread[part] / count**1.5)[:, None]
 
-    def _at_corners(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(3, rows, columns, N) values of the net's points at corners of cells; keeps how wrong it is."""
-        y, x = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
-        count = self._points
-        values = np.empty((3, len(x), count), np.float32)
+    def _at_corners(self, rows: np.ndarray, columns: np.ndarray, count: int) -> np.ndarray:
+        """(3, rows, columns, N) values of the net's first ``count`` points at these corners of cells.
+        Asks those that are these tiles' for a net of their own, too.
+        """
+        row, column = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
+        values = self._by_nets(row, column, lambda part: np.tile(self._net[:, :count], len(row[part])), count)
+        values = values.reshape(3, len(row), count)
+        if not self._alone:
+            # What two tiles share is the later one's.
+            tile = (np.minimum(a // TILE, n - 1) for a, n in zip((row, column), self._tiles, strict=True))
+            first, second = tile
+            mine = np.flatnonzero((first == rows[0] // TILE) & (self._counts[first, second] == count))
+            row, column = row.take(mine), column.take(mine)
+            few = max(1, count // FRESH)
+            nets = self._own_nets(row, column, few)
+            fresh = self._by_nets(row, column, lambda part: nets[:, part].reshape(len(nets), -1), few)
+            self._by_fresh[:, row, column] = fresh.reshape(3, -1, few).mean(axis=2, dtype=np.float64)
+        return values.reshape(3, len(rows), len(columns), count)
+
+    def _own_nets(self, row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
+        """(D, B, count) nets of corners (B,). In blocks of 2, 4 or 8 corners along either edge they are one
+        net together, and so is what is smoothed over them, nearly.
+        """
+        bits = min(3, (TOGETHER // count).bit_length() - 1 >> 1) if count < TOGETHER else 0
+        order = np.zeros(len(row), np.int64)
+        for bit in range(bits):
+            order |= (column >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
+        block = (row >> bits) * (self._corners[1] + 1) + (column >> bits)
+        block, which = np.unique(block, return_inverse=True)
+        nets = self._fresh.points(hash_combine(block, bits), 0, count << 2 * bits)
+        return nets.reshape(len(nets), -1, count).take((which << 2 * bits) + order, axis=1)
+
+    def _by_nets(
+        self, row: np.ndarray, column: np.ndarray, nets: Callable[[slice], np.ndarray], count: int
+    ) -> np.ndarray:
+        """(3, B * count) values at corners (B,), at the points (D, b * count) of each slice of them."""
+        values = np.empty((3, len(row) * count), np.float32)
+        x, y = np.minimum(column * CELL, self._width), np.minimum(row * CELL, self._height)
         # The picture's last corners are those of its last pixels.
         at_x, at_y = np.minimum(x, self._width - 1), np.minimum(y, self._height - 1)
         u = np.stack([x - at_x, y - at_y]).astype(np.float32)[:, :, None]
         pixels = self._pixels(at_x, at_y)
         step = max(1, BATCH // count)
-        for low in range(0, len(x), step):
+        for low in range(0, len(row), step):
             self._check()
-            part = slice(low, min(low + step, len(x)))
+            part = slice(low, min(low + step, len(row)))
             n = part.stop - part.start
             stage = self._integrand.first(pixels[part], u[:, part])
-            found = values_at(self._integrand, stage, n, None, np.tile(self._net, n))
-            values[:, part] = found[:3].reshape(3, n, count)
-        # What two strips share is the later one's.
-        own = len(rows) - (rows[-1] < self._height)
-        if not self._alone:
-            mine = slice(0, own * len(columns))
-            off = self._fresh.first(pixels[mine], u[:, mine]).values
-            off -= values[:, mine].mean(axis=2, dtype=np.float64)
-            first = rows[0] // CELL
-            self._off[:, first : first + own] = off.reshape(3, own, -1)
-        return values.reshape(3, len(rows), len(columns), count)
+            found = values_at(self._integrand, stage, n, None, nets(part))
+            values[:, low * count : part.stop * count] = found[:3]
+        return values
 
     def _asked(
         self,
@@ -267,7 +378,7 @@ class NetPicture:
         if len(x) == 0:
             return np.zeros((4, 0))
         self._check()
-        count = self._points
+        count = chance.shape[1]
         pixels = self._pixels(x, y)
         keys = pixels.key()
         place = self._places.points(keys, 0, 1)
@@ -279,8 +390,12 @@ class NetPicture:
         np.not_equal(due[:, 1:], due[:, :-1], out=taken[:, 1:])
         taken[:, 0] = due[:, 0] > 0
         lane, point = np.nonzero(taken)
-        stage = self._integrand.first(pixels, place)
-        f = values_at(self._integrand, stage, len(x), lane, self._net.take(point, axis=1))[:3]
+        # Camera rays of those that ask for any.
+        asks = np.zeros(len(x), bool)
+        asks[lane] = True
+        some, ray = np.flatnonzero(asks), (np.cumsum(asks) - 1).take(lane)
+        stage = self._integrand.first(pixels[some], place.take(some, axis=1))
+        f = values_at(self._integrand, stage, len(some), ray, self._net.take(point, axis=1))[:3]
         change = f.T.astype(np.float32)
         weights = _bilinear(*((a + u) / s for a, u, s in zip(inner, place[:, :, 0], size, strict=True)))
         for c, w in zip(corners, weights.astype(np.float32), strict=True):
@@ -290,12 +405,33 @@ class NetPicture:
         by_chance = np.square(change.mean(axis=1)) * (1 - likely / SURE)
         return np.stack([np.bincount(lane, a, len(x)) for a in (*change.T, by_chance)])
 
-    def _correct(self) -> None:
-        """Take off what the net is wrong by in all pixels around, as nets of their own at corners tell."""
-        off = _smoothed(_smoothed(self._off, 1), 2) / self._rounds
-        change = _at_middles(off, self._height, self._width).transpose(1, 2, 0) * self._served[:, :, None]
-        self._layer.radiance += change
-        self._layer.control_variate += change
+    def _correct(self, count: int) -> None:
+        """Take off what the net's first ``count`` points are wrong by in the tiles that have as many, as nets
+        of their own tell at all corners around for which that is known.
+        """
+        off = self._by_fresh - self._means[count]
+        known = np.isfinite(off)
+        off[~known] = 0
+        sums = (
+            _sum_around(_sum_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
+        )
+        off, weight = sums
+        off /= np.maximum(weight, 1e-9) * self._rounds
+        y, x = np.nonzero(self._served & (self._of_pixels(self._counts) == count))
+        row, column = y // CELL, x // CELL
+        inner, size = self._in_cells(x, y)
+        corners = _corners_of(row, column, self._corners[1])
+        change = _between(off.reshape(3, -1), corners, inner, size).T
+        for term in (self._layer.radiance, self._layer.control_variate):
+            _add(term, y * self._width + x, change)
+
+    def _in_cells(
+        self, x: np.ndarray, y: np.ndarray
+    ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """Of pixels (B,) in x and in y, their place in their cell, and its size."""
+        inner = x % CELL, y % CELL
+        ends = self._width - (x - inner[0]), self._height - (y - inner[1])
+        return inner, tuple(np.minimum(CELL, end) for end in ends)
 
 
 def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -322,19 +458,32 @@ def _bilinear(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
 
 
-def _at_middles(a: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(C, height, width) between values (C, rows + 1, columns + 1) at cells' corners, in pixels' middles: the
-    mean over the pixel of what is linear in x and in y.
+def _add(term: np.ndarray, at: np.ndarray, values: np.ndarray) -> None:
+    """Add values (B, C) to pixels ``at`` (B,) of a term (H, W, C), which are different ones."""
+    # By one index: several times faster than by two.
+    rows = term.reshape(-1, term.shape[2])
+    rows[at] += values
+
+
+def _corners_of(row: np.ndarray, column: np.ndarray, columns: int) -> np.ndarray:
+    """(4, B) numbers of the corners of cells (B,), in rows of so many: left and right, lower ones first."""
+    corner = row * columns + column
+    return np.stack([corner, corner + 1, corner + columns, corner + columns + 1])
+
+
+def _between(
+    values: np.ndarray, corners: np.ndarray, inner: tuple[np.ndarray, ...], size: tuple[np.ndarray, ...]
+) -> np.ndarray:
+    """(C, B) means over pixels of what is bilinear between values (C, K) at ``corners`` (4, B) of their
+    cells: what it is in their middles.
     """
-    for axis, n in ((1, height), (2, width)):
-        cell, inner = np.divmod(np.arange(n), CELL)
-        t = (inner + 0.5) / np.minimum(CELL, n - cell * CELL)
-        low, high = a.take(cell, axis=axis), a.take(cell + 1, axis=axis)
-        high -= low
-        high *= t[:, None] if axis == 1 else t
-        high += low
-        a = high
-    return a
+    out = np.zeros((len(values), corners.shape[1]))
+    weights = _bilinear(*((a + 0.5) / n for a, n in zip(inner, size, strict=True)))
+    for corner, weight in zip(corners, weights, strict=True):
+        part = values.take(corner, axis=1)
+        part *= weight
+        out += part
+    return out
 
 
 def _whole_cells(a: np.ndarray) -> np.ndarray:
@@ -357,11 +506,49 @@ def _largest_around(a: np.ndarray) -> np.ndarray:
     return a
 
 
-def _smoothed(a: np.ndarray, axis: int) -> np.ndarray:
-    """Means of ``a`` and those around it along an axis, by `AROUND`; at its ends, of those that there are."""
-    reach, n = len(AROUND) // 2, a.shape[axis]
-    index = np.arange(n)[:, None] + np.arange(-reach, reach + 1)
-    weight = np.where((index >= 0) & (index < n), AROUND, 0.0)
-    weight /= weight.sum(axis=1, keepdims=True)
-    rows = np.moveaxis(a, axis, -1).take(np.clip(index, 0, n - 1), axis=-1)
-    return np.moveaxis((rows * weight).sum(axis=-1), -1, axis)
+def _sum_around(a: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
+    """Sums of ``a`` and those around it along an axis, by weights."""
+    reach, n = len(weights) // 2, a.shape[axis]
+    sums = weights[reach] * a
+    for shift in range(1, min(reach, n - 1) + 1):
+        low, high = [slice(None)] * a.ndim, [slice(None)] * a.ndim
+        low[axis], high[axis] = slice(None, -shift), slice(shift, None)
+        sums[tuple(low)] += weights[reach + shift] * a[tuple(high)]
+        sums[tuple(high)] += weights[reach - shift] * a[tuple(low)]
+    return sums
+
+
+def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
+    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2.
+
+    That counts the edges of shadows in the net's square, by their length and height, as its error does.
+    """
+    dimensions, places, count = net.shape
+    if dimensions == 0:
+        return np.zeros(places)
+    edge = round(count ** (1 / min(dimensions, 2)))
+    # One point in each cell.
+    cell = np.zeros((places, count), np.intp)
+    for u in net[:2]:
+        cell = cell * edge + (u * edge).astype(np.intp)
+    grid = np.take_along_axis(f.sum(axis=0, dtype=np.float64), np.argsort(cell, axis=1), axis=1)
+    grid = grid.reshape(places, *[edge] * min(dimensions, 2))
+    axes = range(1, grid.ndim)
+    return sum(np.square(np.diff(grid, axis=axis)).mean(axis=tuple(axes)) for axis in axes)
+
+
+def _shared(wanted: np.ndarray, mean: int, fewest: int) -> np.ndarray:
+    """``mean`` times powers of two, nearly in proportion to ``wanted`` (rows, columns): on average
+    about ``mean``, ``fewest`` at least.
+    """
+    if not wanted.any():
+        return np.full(wanted.shape, mean)
+    least = max(-MOST_OFTEN, int(np.log2(fewest / mean))) if mean > fewest else 0
+    with np.errstate(divide="ignore"):
+        level = np.log2(wanted / wanted.mean())
+    # The more, the higher the scale: the highest that does not take more in the mean.
+    scales = np.linspace(-MOST_OFTEN - 1, MOST_OFTEN + 1, 97)
+    levels = np.clip(np.rint(level + scales[:, None, None]), least, MOST_OFTEN)
+    means = np.exp2(levels).mean(axis=(1, 2))
+    chosen = levels[np.abs(means - 1).argmin()]
+    return (mean * np.exp2(chosen)).astype(int)

@@ -87,7 +87,7 @@ class AroundLightsPicture:
         """Sample all of them; arguments as in `SeenPicture`."""
         by, settings, layer = self._by, self._settings, self._layer
         x0, y0 = self._region[:2]
-        close = min(CORE_SAMPLES * settings.samples, MOST_SAMPLES)
+        close = min(CORE_SAMPLES * by.intensity * settings.samples, MOST_SAMPLES)
         few = int(np.ceil(by.effort * np.clip(4 * settings.samples, *FEW_SAMPLES)))
         some = int(np.ceil(by.effort * close / 2))
         work = [

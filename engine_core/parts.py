@@ -62,8 +62,12 @@ budget by the root of their number, so that outlines have what they need."""
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
 
-LASER_POINTS = 32
-"""Of the net of a laser, for each of `Settings.samples`."""
+FOG_POINTS, SURFACE_POINTS = 32, 16
+"""Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
+
+AT_ENDS = 16
+"""Times as many samples of pixels about the end of a laser as of those about a light in fog: they are few,
+and had most of the picture's error."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -138,10 +142,11 @@ class OverNet:
 
 @dataclass(frozen=True, eq=False)
 class AroundLights:
-    """Fog in the pixels about lights that the camera sees.
+    """Pixels about lights that the camera sees, in fog, or about the ends of lasers.
 
     blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those
         whose images are not far, and of all others. effort : for all but the first, 1 or less.
+    intensity : times as many samples of the light itself.
     """
 
     blocks: list[Block]
@@ -149,6 +154,7 @@ class AroundLights:
     beside: list[list[StagedIntegrand]]
     others: list[list[StagedIntegrand]]
     effort: float = 1.0
+    intensity: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +318,7 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = OverNet(fog, _points_of(fog.stretches, settings), beside(fog.stretches))
+        by = OverNet(fog, _points_of(fog.stretches, FOG_POINTS * settings.samples), beside(fog.stretches))
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -321,15 +327,15 @@ def _of_lasers(
             found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
             if found:
                 own, none = [AroundLight(lit, b.centre) for b in found], [[] for _ in found]
-                parts.append(
-                    Part("surfaces where lasers end", LASER, own[0], 1, AroundLights(found, own, none, none))
-                )
+                around = AroundLights(found, own, none, none, intensity=AT_ENDS)
+                parts.append(Part("surfaces where lasers end", LASER, own[0], 1, around))
         near = beside(lit.stretches)
 
         def and_creases(region: Region, map_: Map) -> np.ndarray:
             return near(region, map_) | lit.creases(region, map_)
 
-        by = OverNet(lit, _points_of(lit.stretches, settings), and_creases, elsewhere)
+        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples)
+        by = OverNet(lit, points, and_creases, elsewhere)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:
@@ -339,9 +345,9 @@ def _of_lasers(
     return parts
 
 
-def _points_of(stretches: Sequence[Stretch], settings: Settings) -> int:
-    """Points of a net of several lasers, whose errors even out; a power of two."""
-    wanted = LASER_POINTS * settings.samples / np.sqrt(_many(stretches))
+def _points_of(stretches: Sequence[Stretch], of_one: int) -> int:
+    """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one."""
+    wanted = of_one / np.sqrt(_many(stretches))
     return 1 << max(round(np.log2(wanted)), int(np.log2(FEW_POINTS)))
 
 

@@ -66,12 +66,8 @@ ROUGH = 0.4
 PLACES = 8
 """In these pixels, a power of two."""
 
-ON_OUTLINES = 2
-"""Samples of a pixel that an outline crosses, over the points of its tile. Each has a camera ray of its own,
-so that all dimensions are one net: an error a third less than with several points of a ray."""
-
 BESIDE_OUTLINES = 8
-"""Camera rays of the others of its cell, for as many points as its tile has."""
+"""Camera rays of a pixel that no outline crosses, but its cell, for as many points as its tile has."""
 
 FRESH = 2
 """The net's points over those of a corner's own net."""
@@ -137,8 +133,9 @@ class NetPicture:
             map_(self._correct, self._levels)
             for count in self._levels:
                 of_tile = ~elsewhere & (count_of == count)
+                # One point of each camera ray, where these differ most: all dimensions are one net then.
                 for which, cameras, split in (
-                    (outline, ON_OUTLINES * count, 1),
+                    (outline, self._by.at_outlines * count, 1),
                     (beside & ~outline, BESIDE_OUTLINES, max(1, count // BESIDE_OUTLINES)),
                 ):
                     index = np.flatnonzero(which & of_tile)
@@ -168,7 +165,7 @@ class NetPicture:
         # One point of each camera ray, and several.
         self._plain = {one: staged_points("sobol", 2, dimensions, 2 - one, seed + 1) for one in (True, False)}
         for group in (*self._plain[True], *self._plain[False]):
-            group.prepare(ON_OUTLINES * most)
+            group.prepare(self._by.at_outlines * most)
         # At corners, the means of the first points of the net, as many as tiles have, where they are known.
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
         self._by_fresh = np.zeros((3, *self._corners))

@@ -130,14 +130,16 @@ class OverScreen:
 class OverNet:
     """An integral by a net of points that are followed over the picture, each for itself.
 
-    integrand : all of it. points : of the net, a power of two, 16 at least. outlines, elsewhere : as in
-        `OverScreen`.
+    integrand : all of it. points : of the net, a power of two, 16 at least; on average over the picture.
+    outlines, elsewhere : as in `OverScreen`. at_outlines : samples of a pixel that an outline crosses, over
+        the points that pixels around have.
     """
 
     integrand: StagedIntegrand
     points: int
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None = None
+    at_outlines: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +337,7 @@ def _of_lasers(
             return near(region, map_) | lit.creases(region, map_)
 
         points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples)
-        by = OverNet(lit, points, and_creases, elsewhere)
+        by = OverNet(lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS)
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

@@ -10,7 +10,8 @@ point, what the pixels within get:
 
 The chance is 1 where a shadow's edge lies between the corners, and little where they agree. Whatever was
 believed, the mean over chances is f_i. The net is as wrong as its few points are; nets of their own at the
-corners, smoothed over the picture, take off what neighbours are wrong by together. All of it is unbiased.
+corners, smoothed over the picture, take off what neighbours are wrong by together. Where others again
+found more shadows, tiles of the picture follow more points. All of it is unbiased.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class NetPicture:
         self._alone = settings.integrator == "cv_only"
         self._rounds = -(-by.points // MOST_POINTS)
         self._points = by.points // self._rounds
-        self.told = f"{self._points} points followed over the picture, {self._rounds} times"
+        self.told = f"about {self._points} points followed over the picture, {self._rounds} times"
         self.seconds: dict[str, float] = {}
         self._width, self._height = region[2] - region[0], region[3] - region[1]
         columns, rows = -(-self._width // CELL), -(-self._height // CELL)

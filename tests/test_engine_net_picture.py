@@ -74,10 +74,11 @@ def picture(seed: int, samples: int = 32, integrator: str = "control_variates", 
     return layer
 
 
-@pytest.mark.parametrize("rounds", [1, 4])
-def test_the_mean_over_seeds_is_the_truth(rounds, monkeypatch):
+@pytest.mark.parametrize(("rounds", "tile"), [(1, 8), (4, 8), (1, 1), (1, 2)])
+def test_the_mean_over_seeds_is_the_truth(rounds, tile, monkeypatch):
     if rounds > 1:
         monkeypatch.setattr(module, "MOST_POINTS", 8)
+    monkeypatch.setattr(module, "TILE", tile)
     seeds = np.array([picture(seed).radiance for seed in range(120)], np.float64)
     np.testing.assert_allclose(seeds[..., 1], 2 * seeds[..., 0], rtol=1e-4, atol=1e-5)
     assert not seeds[..., 2].any()
@@ -91,7 +92,26 @@ def test_the_mean_over_seeds_is_the_truth(rounds, monkeypatch):
     assert np.median(seeds[..., :7, 0].std(axis=0)) < 0.05
 
 
-def test_terms_add_up_and_order_changes_nothing():
+def test_points_go_where_values_differ():
+    random = np.random.default_rng(3)
+    net = (np.stack(np.divmod(np.arange(64), 8)) + random.random((2, 64)))[:, None] / 8
+    net = np.repeat(net, 2, axis=1)
+    net[:, 1] = net[:, 1, random.permutation(64)]
+    # An edge along u[0] = 1/2 of height 2 in the sum of channels, and nothing.
+    f = np.zeros((3, 2, 64))
+    f[:2, 1] = net[0, 1] < 0.5
+    np.testing.assert_allclose(module._roughness(f, net), [0, 4 / 7])
+    wanted = random.random((30, 40)) ** 2
+    shared = module._shared(wanted, 64, 8)
+    assert set(np.unique(shared)) <= {16, 32, 64, 128, 256}
+    assert abs(shared.mean() - 64) < 3
+    assert np.corrcoef(shared.ravel(), wanted.ravel())[0, 1] > 0.9
+    assert (module._shared(np.zeros((2, 2)), 64, 8) == 64).all()
+    assert module._shared(wanted, 8, 8).min() == 8
+
+
+def test_terms_add_up_and_order_changes_nothing(monkeypatch):
+    monkeypatch.setattr(module, "TILE", 2)
     one = picture(5)
     other = picture(5, map_=lambda f, items: [f(item) for item in list(items)[::-1]][::-1])
     for name in ("radiance", "control_variate", "residual", "standard_error", "sample_count"):

@@ -183,9 +183,11 @@ class LaserOnSurfaces:
 
         normal = np.concatenate(map_(trace, range(y0, y1 + 1, ROWS)), axis=1)
         found = np.zeros((height, width), bool)
-        bends = dot(normal[:, 1:], normal[:, :-1]) < BEND
+        # Where nothing is seen, nothing turns.
+        seen = normal.any(axis=0)
+        bends = (dot(normal[:, 1:], normal[:, :-1]) < BEND) & (seen[1:] | seen[:-1])
         found |= bends[:, 1:] | bends[:, :-1]
-        bends = dot(normal[:, :, 1:], normal[:, :, :-1]) < BEND
+        bends = (dot(normal[:, :, 1:], normal[:, :, :-1]) < BEND) & (seen[:, 1:] | seen[:, :-1])
         found |= bends[1:] | bends[:-1]
         return found.T
 

@@ -25,6 +25,7 @@ from .integration.standard_error import Spread, sampled_twice, standard_error
 from .settings import Settings
 from .transport.direct_light import ALPHA, NORMAL, CameraHits, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import EveryLight
+from .trial import Trial
 
 MOST_LIGHTS = 8
 """Lights that are summed at every evaluation; more are chosen among, which no polynomial follows."""
@@ -41,8 +42,11 @@ MOST = 1 << 14
 FIRST_PASS = 8
 """Samples a pixel, the polynomials' included, of the first of the passes that double them."""
 
-DEFENSIVE = 0.1
-"""Of the residual samples, spread evenly."""
+DEFENSIVE, DEFENSIVE_OF_F = 0.1, 0.4
+"""Of the residual samples, spread evenly; and where h is given up: then nodes saw little of what there is."""
+
+OF_F = 0.9
+"""Power of the deviation in the number of samples where h is given up."""
 
 SHARE = 0.25
 """Of all samples, spent on the polynomials. Fewer than is best without a pilot: it knows more than nodes."""
@@ -58,8 +62,9 @@ MOST_REGIONS = 400_000
 class ControlVariatePicture:
     """H of a whole picture, and the residual of its tiles.
 
-    regions, nodes : how many there are. deviation_a_sample : sum over pixels of the deviation of a sample,
-        channels summed, over how many samples are due; None as long as that is not known.
+    regions, nodes : how many there are. told : what was done, for people.
+    deviation_a_sample : sum over pixels of the deviation of a sample, channels summed, over how many samples
+        are due; None as long as that is not known.
     """
 
     deviation_a_sample: float | None = None
@@ -84,9 +89,10 @@ class ControlVariatePicture:
         self.covered = 4
         self._options = ControlVariates(share=SHARE)
         self.regions = self.nodes = 0
+        self.told = "built"
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> bool:
-        """Build the polynomials and write their means into the film; False where they do not help.
+        """Build the polynomials and write their means into the film; False where not one region is afforded.
 
         map_ : runs a function over items on the workers, and returns the results in order.
         enough : whether to go on with the polynomials that there are.
@@ -111,18 +117,32 @@ class ControlVariatePicture:
         expected = int(budget / evaluator.cost)
         tree = RegionTree(bins, self.covered, log_edge, evaluator, False, map_=map_, expected=expected)
         self._see(map_)
+        trial = Trial(
+            self.integrand,
+            self._pixels,
+            settings,
+            lambda: self._variate_of(tree, log_edge, map_),
+            tree,
+            budget,
+            map_,
+        )
+
+        def grown() -> bool:
+            return enough() or not alone and trial.lost(evaluator.evaluations)
+
         try:
-            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
+            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, grown)
         except BaseException:
             # Given up between two sweeps' evaluations: what was built before them is whole.
             self._check = lambda: None
             self._show(tree, log_edge, in_order)
             raise
         self.regions, self.nodes = len(tree), tree.store.count
-        if not (helps or alone):
-            return False
-        self._left = total - evaluator.evaluations
+        self._left = total - evaluator.evaluations - trial.spent
         self._show(tree, log_edge, map_)
+        if not alone and (trial.beaten or not helps):
+            # Its means are shown until there are samples, and pixels still have as many as they need.
+            self._plain[:], self.told = True, "given up: samples of f itself are better"
         self._alone = alone
         if alone:
             self._due, self._twice, self.passes = np.ones(bins, np.int64), np.zeros(bins, bool), 1
@@ -148,12 +168,15 @@ class ControlVariatePicture:
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
-        self._variate = ControlVariate(tree, log_edge, self._options.max_overlaps, map_)
+        self._variate = self._variate_of(tree, log_edge, map_)
         self._mean = np.zeros((CHANNELS, *self._bins))
         self._error = np.zeros(self._bins)
         self._plain = np.zeros(self._bins, bool)
         map_(self._integrate, range(len(self._variate)))
         self._film.combined[..., ALPHA] = 1
+
+    def _variate_of(self, tree: RegionTree, log_edge: int, map_: Map) -> ControlVariate:
+        return ControlVariate(tree, log_edge, self._options.max_overlaps, map_)
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
@@ -201,7 +224,13 @@ class ControlVariatePicture:
 
         map_(sample_pilot, range(len(self)))
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
-        due, _ = sample_counts(error.ravel(), self._left / (1 + twice.mean()), DEFENSIVE, FREE)
+        defensive = DEFENSIVE
+        if self._plain.all():
+            # Each has one in any case.
+            defensive = max(DEFENSIVE, DEFENSIVE_OF_F * (1 - 1 / settings.samples))
+            # A net's error falls faster than by the root of its points.
+            error = error**OF_F
+        due, _ = sample_counts(error.ravel(), self._left / (1 + twice.mean()), defensive, FREE)
         self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._film.control_variate.mean(axis=-1).T, 0))

@@ -284,7 +284,7 @@ class _Render:
             self._integrals["control variate"] = f"given up: {given_up}"
             self._count(picture.integrand)
             return None, ended
-        self._integrals["control variate"] = "built"
+        self._integrals["control variate"] = picture.told
         self._show_all()
         return picture, None
 

@@ -34,7 +34,7 @@ from example_blends.shapes import corner_normals
 
 FOGS = (
     "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage", "fog_ball", "fog_area",
-    "two_spots", "leaves",
+    "two_spots", "leaves", "fence",
 )  # fmt: skip
 MODELS = ("slats", "studio_spheres", "veach_plates", "violin", *FOGS)
 

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where samples of f itself are better than those of f - h."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.scenes.core import example, scene
+from engine_core import Scene, Settings, trial
+from engine_core.render import render
+from example_blends.model import Lamp, Model, Thing, View, diffuse
+from example_blends.shapes import ball, block
+
+
+@pytest.fixture(scope="module")
+def fence() -> Scene:
+    """Without fog's own light."""
+    return clear(example("fence", 48, 27))
+
+
+def clear(made: Scene) -> Scene:
+    volumes = [dataclasses.replace(volume, scattering=(0, 0, 0)) for volume in made.volumes]
+    return dataclasses.replace(made, volumes=volumes)
+
+
+@pytest.mark.parametrize("better", [0.0, np.inf])
+def test_the_mean_is_right_whether_h_is_given_up_or_not(
+    fence: Scene, better: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "BETTER", better)
+    films = [render(fence, Settings(samples=4, seed=seed, threads=1)) for seed in range(40)]
+    gave_up = {film.statistics["control variate"].startswith("given up") for film in films}
+    assert gave_up == {better > 0}
+    means = np.array([film.combined[..., :3].mean() for film in films])
+    truth = render(fence, Settings(samples=1024, seed=77, integrator="sobol", threads=1)).combined[..., :3]
+    assert abs(means.mean() - truth.mean()) < 4 * means.std() / np.sqrt(len(means)) + 1e-3 * truth.mean()
+
+
+def test_bars_below_the_regions_are_sampled_without_h() -> None:
+    film = render(clear(example("fence", 240, 136)), Settings(samples=16, seed=5, threads=2))
+    assert film.statistics["control variate"].startswith("given up")
+
+
+def test_soft_shadows_keep_h() -> None:
+    things = [
+        Thing("Floor", block((-3, -3, -0.1), (3, 3, 0)), diffuse("Floor", (0.5, 0.5, 0.5))),
+        Thing("Ball", ball(0.5, (0, 0, 0.8), cells=8), diffuse("Ball", (0.5, 0.5, 0.5))),
+    ]
+    disk = {"shape": "DISK", "size": 1.5}
+    lamp = Lamp("Lamp", "AREA", (1, -1, 3), 100, target=(0, 0, 0), properties=disk)
+    film = render(scene(Model(View((0, -6, 3), (0, 0, 0.4)), things, [lamp]), 128, 72), Settings(samples=4))
+    assert film.statistics["control variate"] == "built"

@@ -224,13 +224,13 @@ class ControlVariatePicture:
 
         map_(sample_pilot, range(len(self)))
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
-        defensive = DEFENSIVE
+        defensive, in_proportion = DEFENSIVE, error
         if self._plain.all():
             # Each has one in any case.
             defensive = max(DEFENSIVE, DEFENSIVE_OF_F * (1 - 1 / settings.samples))
             # A net's error falls faster than by the root of its points.
-            error = error**OF_F
-        due, _ = sample_counts(error.ravel(), self._left / (1 + twice.mean()), defensive, FREE)
+            in_proportion = error**OF_F
+        due, _ = sample_counts(in_proportion.ravel(), self._left / (1 + twice.mean()), defensive, FREE)
         self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._film.control_variate.mean(axis=-1).T, 0))

@@ -193,6 +193,22 @@ def test_pictures_of_any_fog_are_finite(volume):
 
 
 @pytest.mark.parametrize("integrator", ["control_variates", "sobol"])
+def test_a_colour_that_fog_lets_pass_does_not_change_the_others(integrator):
+    """In fog without an end, of which nothing bounds the map along a ray in that colour."""
+    clear, not_clear = (
+        render(
+            scene(
+                *LIT["area"], *LIT["ball"], volume=Volume(scattering=(0.1, 0, 0), absorption=(0, 0.1, blue))
+            ),
+            Settings(2, integrator=integrator),
+        )
+        for blue in (0, 0.1)
+    )
+    np.testing.assert_allclose(clear.volume, not_clear.volume, rtol=1e-5)
+    assert not_clear.volume[..., 0].mean() > 0.05 and not clear.messages
+
+
+@pytest.mark.parametrize("integrator", ["control_variates", "sobol"])
 def test_lights_of_which_some_are_chosen_light_fog(integrator):
     corners = np.indices((4, 3)).reshape(2, -1).T * (1.5, 1.2) + (-3, 1.5)
     lights = [PointLight(20.0, position=(x, 1, z), radius=0.1) for x, z in corners]

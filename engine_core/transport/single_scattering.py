@@ -246,8 +246,10 @@ class SingleScattering:
 
     @property
     def thinnest(self) -> np.ndarray:
-        """(R,) extinction of each mixture, the least of its channels."""
-        return self.media.extinction.min(axis=0)
+        """(R,) extinction of each mixture, the least of the channels that scatter."""
+        extinction, scatters = self.media.extinction, self.media.scattering.any(axis=0)
+        least = np.where(scatters, extinction, np.inf).min(axis=0)
+        return np.where(scatters.any(axis=0), least, extinction.min(axis=0))
 
 
 @dataclass(eq=False)

@@ -4,23 +4,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from .image.film import LARGEST, Layer
+from .integration.integrand import StagedIntegrand
 from .integration.mapping import Map
-from .integration.point_sets import PointSet, SobolPoints, staged_points
+from .integration.point_sets import SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
+from .integration.standard_error import box_sums
 from .parts import AroundLights, Region, Seen, cell_of
 from .settings import Settings
+from .transport.around_light import Block
 from .transport.camera_hits import Pixels
 
-CORE_SAMPLES, MOST_SAMPLES = 64, 4096
-"""Of pixels close to a light in fog, for each of `Settings.samples`, and at most."""
+FIRST_SAMPLES = 4, 1
+"""Twice as many a pixel about a light tell what its own light, and that of others, deviates by."""
 
-FEW_SAMPLES = 4, 128
-"""Of other lights there, at least and at most; four for each of `Settings.samples`. Of many lights fewer."""
+SAMPLES, MOST_SAMPLES = 16.0, 4096
+"""Of a pixel about a light, where they deviate by the picture's mean radiance in a picture of one sample, and
+at most. They grow as the power of 2/3 of the deviation, and of `Settings.samples`: so errors are least that
+fall as 1 / samples."""
 
 ROWS = 16
 """Of the picture, whose beams are drawn at once."""
@@ -67,6 +73,24 @@ class SeenPicture:
         layer.control_variate[:] = layer.radiance
 
 
+@dataclass(eq=False)
+class _Term:
+    """One integrand over the pixels (B,) of a block: those of its lights' samples that were taken.
+
+    first : half of those that are taken to begin with. number : of all terms. total : (3, B) sum of samples.
+    spread : (B,) deviation of a sample. count : (B,).
+    """
+
+    integrand: StagedIntegrand
+    block: Block
+    first: int
+    lights: int
+    number: int
+    total: np.ndarray
+    spread: np.ndarray
+    count: np.ndarray
+
+
 class AroundLightsPicture:
     """Pixels about lights in the picture, each integrated by itself.
 
@@ -79,50 +103,113 @@ class AroundLightsPicture:
         self, by: AroundLights, settings: Settings, region: Region, layer: Layer, check: Callable[[], None]
     ) -> None:
         """region, check : as in `SeenPicture`; integrands check for themselves."""
-        self._by, self._settings, self._region, self._layer = by, settings, region, layer
+        self._settings, self._region, self._layer = settings, region, layer
         self.told = f"sampled around {len(by.blocks)}"
         self.seconds: dict[str, float] = {}
+        self._terms: list[_Term] = []
+        for block, own, others in zip(by.blocks, by.own, by.others, strict=True):
+            for first, (integrand, lights) in zip(
+                (FIRST_SAMPLES[0], *[FIRST_SAMPLES[1]] * len(others)), ((own, 1), *others), strict=True
+            ):
+                n = len(block.x)
+                empty = np.zeros((3, n)), np.zeros(n), np.full(n, 2 * first)
+                self._terms.append(_Term(integrand, block, first, lights, len(self._terms), *empty))
+        # A pixel's samples of each integrand have nets of their own, and pixels keys of theirs.
+        self._nets = {
+            dimensions: staged_points("sobol", 2, dimensions, 1, settings.seed + 5)
+            for dimensions in {term.integrand.rest_dimensions for term in self._terms}
+        }
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> None:
-        """Sample all of them; arguments as in `SeenPicture`."""
-        by, settings, layer = self._by, self._settings, self._layer
-        x0, y0 = self._region[:2]
-        close = min(CORE_SAMPLES * by.intensity * settings.samples, MOST_SAMPLES)
-        few = int(np.ceil(by.effort * np.clip(4 * settings.samples, *FEW_SAMPLES)))
-        some = int(np.ceil(by.effort * close / 2))
-        work = [
-            (integrand, block, block.core == core, n)
-            for block, own, beside, others in zip(by.blocks, by.own, by.beside, by.others, strict=True)
-            for integrands, samples in (
-                ([own], (close, close // 8)),
-                (beside, (some, some)),
-                (others, (few, few)),
+        """Take the first samples of all; arguments as in `SeenPicture`."""
+        self._prepare(2 * max(FIRST_SAMPLES))
+
+        def begin(term: _Term) -> None:
+            every = np.arange(len(term.block.x))
+            one, other = (self._sum(term, every, low, term.first) for low in (0, term.first))
+            term.total = one + other
+            apart = np.square(np.abs(one - other).sum(axis=0)) / 2
+            term.spread = np.sqrt(_of_neighbours(term.block, apart))
+
+        map_(begin, self._terms)
+        self.show(map_)
+
+    def allocate(self, map_: Map, around: np.ndarray, bright: float, of_surfaces: float | None) -> None:
+        """Decide how many samples each pixel has; arguments as in `ScreenPicture.allocate`.
+
+        A pixel's own first samples, which stay, have no say.
+        """
+        self._work = []
+        for term in self._terms:
+            wanted = term.spread * (self._settings.samples / max(bright, np.finfo(np.float32).tiny))
+            # What costs more is taken less often.
+            wanted = SAMPLES * np.cbrt(np.square(wanted) / term.lights)
+            log = np.rint(np.log2(np.clip(wanted, 2 * term.first, MOST_SAMPLES))).astype(int)
+            for n in 1 << np.unique(log):
+                rows = np.flatnonzero(1 << log == n)
+                step = max(1, self._settings.batch_size // int(n))
+                if n > 2 * term.first:
+                    self._work += [
+                        (int(n), term, rows[low : low + step]) for low in range(0, len(rows), step)
+                    ]
+        self._prepare(max((n for n, _, _ in self._work), default=0))
+
+    def __len__(self) -> int:
+        """How many pieces of work there are."""
+        return len(self._work)
+
+    def work(self, number: int) -> int:
+        """Samples that a piece takes."""
+        n, term, rows = self._work[number]
+        return (n - 2 * term.first) * len(rows)
+
+    def refine(self, number: int, done: Callable[[int], None]) -> None:
+        """Take the samples of a piece."""
+        n, term, rows = self._work[number]
+        term.total[:, rows] += self._sum(term, rows, 2 * term.first, n - 2 * term.first)
+        term.count[rows] = n
+        done(self.work(number))
+
+    def finish(self) -> None:
+        """What samples tell beside the radiance: their counts, and the error."""
+        (x0, y0), layer = self._region[:2], self._layer
+        for term in self._terms:
+            at = term.block.y - y0, term.block.x - x0
+            layer.sample_count[at] += term.count
+            layer.standard_error[at] = np.hypot(
+                layer.standard_error[at], (term.spread / term.count / 3)[:, None]
             )
-            for integrand in integrands
-            for core, n in zip((True, False), samples, strict=True)
-            if (block.core == core).any()
-        ]
 
-        # A pixel's samples of each integrand have nets of their own, and pixels keys of theirs.
-        nets: dict[int, tuple[PointSet, PointSet]] = {}
-        for integrand, _, _, n in work:
-            dimensions = integrand.rest_dimensions
-            if dimensions not in nets:
-                nets[dimensions] = staged_points("sobol", 2, dimensions, 1, settings.seed + 5)
-            for group in nets[dimensions]:
-                group.prepare(n)
+    def show(self, map_: Map) -> None:
+        """Sum all terms up, in one order. map_ : not used."""
+        (x0, y0), radiance = self._region[:2], self._layer.radiance
+        radiance[:] = 0
+        for term in self._terms:
+            mean = np.clip(term.total / term.count, -LARGEST, LARGEST).T
+            radiance[term.block.y - y0, term.block.x - x0] += mean
 
-        def sample(number: int) -> np.ndarray:
-            integrand, block, which, n = work[number]
-            x, y = block.x[which], block.y[which]
-            pixels = Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._region))
-            keys = hash_combine(pixels.key(), number)
-            points = nets[integrand.rest_dimensions]
-            sums = sum_samples(integrand, pixels, keys, points, 0, n, 1, settings.batch_size)
-            return np.clip(sums.values[:3] / n, -LARGEST, LARGEST).T
+    def _prepare(self, count: int) -> None:
+        for nets in self._nets.values():
+            for group in nets:
+                group.prepare(count)
 
-        # Summed in one order, whoever is first.
-        for (_, block, which, n), values in zip(work, map_(sample, range(len(work))), strict=True):
-            at = block.y[which] - y0, block.x[which] - x0
-            layer.radiance[at] += values
-            layer.sample_count[at] += n
+    def _sum(self, term: _Term, rows: np.ndarray, start: int, count: int) -> np.ndarray:
+        """(3, B) sum of samples ``start`` to ``start + count`` of pixels ``rows`` (B,) of a term's block."""
+        x, y = (a[rows].astype(np.int32) for a in (term.block.x, term.block.y))
+        pixels = Pixels(x, y, cell_of(x, y, self._region))
+        keys = hash_combine(pixels.key(), term.number)
+        points = self._nets[term.integrand.rest_dimensions]
+        sums = sum_samples(term.integrand, pixels, keys, points, start, count, 1, self._settings.batch_size)
+        return sums.values[:3]
+
+
+def _of_neighbours(block: Block, square: np.ndarray) -> np.ndarray:
+    """(B,) means over a block's pixels next to each of ``square`` (B,), without its own; where it has none,
+    over all others.
+    """
+    x, y = block.x - block.x.min(), block.y - block.y.min()
+    values = np.zeros((2, x.max() + 1, y.max() + 1))
+    values[:, x, y] = np.stack([square, np.ones(len(square))])
+    total, count = np.maximum(box_sums(values, 1)[:, x, y] - values[:, x, y], 0)
+    every = (square.sum() - square) / max(len(square) - 1, 1)
+    return np.where(count > 0.5, total / np.maximum(count, 1), every)

@@ -18,7 +18,7 @@ from .integration.integrated import Integrated
 from .integration.mapping import Map
 from .scene import Scene
 from .settings import Settings
-from .transport.around_light import AroundLight, Block, blocks, tamed
+from .transport.around_light import AroundLight, Block, blocks, lit_angles, tamed
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
@@ -48,6 +48,10 @@ surface does."""
 NODE_RAYS = NODES + 2 * BISECTIONS
 """That a whole ray takes to each light without size, with a shadow on the way."""
 
+AROUND_LIGHTS = 2, 2
+"""Nodes and checks of a whole ray next to a light in the picture. Most of what it brings comes from there,
+where little stands in the way, and a pixel there has many rays."""
+
 AT_OUTLINES = 8
 """`OverScreen.at_outlines`."""
 
@@ -64,10 +68,6 @@ SPLIT = 4
 
 FOG_POINTS, SURFACE_POINTS = 32, 16
 """Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
-
-AT_ENDS = 16
-"""Times as many samples of pixels about the end of a laser as of those about a light in fog: they are few,
-and had most of the picture's error."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -146,17 +146,13 @@ class OverNet:
 class AroundLights:
     """Pixels about lights that the camera sees, in fog, or about the ends of lasers.
 
-    blocks : of each light. own, beside, others : for each block the integrands of the light itself, of those
-        whose images are not far, and of all others. effort : for all but the first, 1 or less.
-    intensity : times as many samples of the light itself.
+    blocks : of each light. own : for each block the integrand of the light itself. others : and of all
+        others, with their number, those whose images are not far by themselves.
     """
 
     blocks: list[Block]
     own: list[StagedIntegrand]
-    beside: list[list[StagedIntegrand]]
-    others: list[list[StagedIntegrand]]
-    effort: float = 1.0
-    intensity: int = 1
+    others: list[list[tuple[StagedIntegrand, int]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +176,7 @@ class Part:
         if isinstance(self.by, OverScreen):
             integrands += [self.by.at_nodes, self.by.sampled, self.by.alone]
         elif isinstance(self.by, AroundLights):
-            integrands += [*self.by.own, *chain.from_iterable(self.by.beside + self.by.others)]
+            integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
         return sum(different.values(), Counter())
 
@@ -239,7 +235,8 @@ def _of_fog(
         """Of lights of all kinds: whole rays of those without size, points of the others."""
         found: list[StagedIntegrand] = []
         if (of_bare := np.intersect1d(lights, bare)).size:
-            found.append(ScatteredAlongRay(scattering, of_bare, check))
+            looks, checks = AROUND_LIGHTS
+            found.append(ScatteredAlongRay(scattering, of_bare, check, looks, looks, checks=checks))
         if (of_rest := np.intersect1d(lights, rest)).size:
             found.append(
                 ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check)
@@ -263,10 +260,16 @@ def _of_fog(
     ):
         found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
         if found:
-            own = [AroundLight(integrands(every[every == b.light])[0], b.centre) for b in found]
-            beside = [integrands(b.beside) for b in found]
-            others = [integrands(np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
-            by = AroundLights(found, own, beside, others, min(1.0, MANY / len(every)))
+            lit = [lit_angles(scattering.rays, scattering.lights, scattering.cones, b.light) for b in found]
+            own = [
+                AroundLight(integrands(every[every == b.light])[0], b.centre, angles)
+                for b, angles in zip(found, lit, strict=True)
+            ]
+            groups = [(b.beside, np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
+            others = [
+                [(one, len(lights)) for lights in group for one in integrands(lights)] for group in groups
+            ]
+            by = AroundLights(found, own, others)
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
             calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
         else:
@@ -328,9 +331,9 @@ def _of_lasers(
         if settings.integrator == "control_variates" and lit.screen_dimensions == 2:
             found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
             if found:
-                own, none = [AroundLight(lit, b.centre) for b in found], [[] for _ in found]
-                around = AroundLights(found, own, none, none, intensity=AT_ENDS)
-                parts.append(Part("surfaces where lasers end", LASER, own[0], 1, around))
+                own = [AroundLight(lit, b.centre) for b in found]
+                ends = AroundLights(found, own, [[] for _ in found])
+                parts.append(Part("surfaces where lasers end", LASER, own[0], 1, ends))
         near = beside(lit.stretches)
 
         def and_creases(region: Region, map_: Map) -> np.ndarray:

@@ -49,6 +49,9 @@ PICTURES = {
 }
 """What makes a part's layer."""
 
+Refined = ScreenPicture | AroundLightsPicture
+"""Of these, what samples are taken of when all are built."""
+
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
@@ -331,7 +334,7 @@ class _Render:
             outcome, ended = self._drive(pool, picture.build, f"Building {part.name}")
             if not ended:
                 outcome.result()
-                if isinstance(picture, ScreenPicture):
+                if isinstance(picture, Refined):
                     picture.show(_map_on(pool))
                 self._show_all()
             built.append((picture, time.perf_counter() - begin))
@@ -349,7 +352,7 @@ class _Render:
             beside = *self._brightness(), None if surfaces is None else surfaces.deviation_a_sample
         for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
-            if beside is not None and not ended and isinstance(picture, ScreenPicture):
+            if beside is not None and not ended and isinstance(picture, Refined):
                 ended = self._refine_part(pool, picture, part.name, *beside)
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
@@ -367,7 +370,7 @@ class _Render:
         return around, bright
 
     def _refine_part(
-        self, pool: Executor, picture: ScreenPicture, name: str, *beside: np.ndarray | float | None
+        self, pool: Executor, picture: Refined, name: str, *beside: np.ndarray | float | None
     ) -> str | None:
         """Sample what is built leaves, and show both. beside : as in `ScreenPicture.allocate`."""
         outcome, ended = self._drive(
@@ -380,7 +383,7 @@ class _Render:
         self._show_all()
         return ended
 
-    def _sample_part(self, pool: Executor, picture: ScreenPicture, name: str) -> str | None:
+    def _sample_part(self, pool: Executor, picture: Refined, name: str) -> str | None:
         self._done, self._pass_work = 0, sum(picture.work(number) for number in range(len(picture)))
 
         def done(samples: int) -> None:

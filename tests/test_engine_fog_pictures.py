@@ -25,9 +25,10 @@ from engine_core import (
     render,
 )
 from engine_core.integration.integrated import Integrated
+from engine_core.part_pictures import _of_neighbours
 from engine_core.parts import parts_of
 from engine_core.shading.closures import Emission, Mix, Transparent
-from engine_core.transport.around_light import polar
+from engine_core.transport.around_light import AROUND, Block, _lit_around, lit_angles, polar
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.silhouettes import silhouettes
@@ -54,6 +55,7 @@ LIT = {
     "point": (PointLight(300.0, position=OUTSIDE),),
     "in the picture": (PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE)),
     "spot": (SpotLight(500.0, light_to_world=downwards(), angle=0.6),),
+    "beam in the picture": (SpotLight(500.0, light_to_world=place(INSIDE, (0.4, -1.3, 0)), angle=0.4),),
     "ball": (PointLight(300.0, position=OUTSIDE, radius=0.4),),
     "area": (AreaLight(300.0, light_to_world=downwards(), size=1.5),),
     "laser": (Laser(50.0, light_to_world=downwards((0.4, -0.6, 3.5)), radius=0.02),),
@@ -258,6 +260,57 @@ def test_polar_points_cover_a_pixel_and_take_the_pole_away(corner):
     corners = np.array(corner) + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     exact = sum(edge(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
     assert (weight / np.hypot(*at)).mean() == pytest.approx(exact, rel=2e-3)
+
+
+@pytest.mark.parametrize("corner", [(0.2, 0.3), (-0.5, -0.5), (-1, 0), (3, -5)])
+@pytest.mark.parametrize("lit", [(0.3, -0.2, 0.4), (-2.9, -1.2, 1.5), (np.pi, -0.01, 0.01)])
+def test_polar_points_of_a_beam_cover_what_of_a_pixel_is_in_it(corner, lit):
+    x, y = (np.array([c]) for c in corner)
+    u = np.stack(np.meshgrid((np.arange(400) + 0.5) / 400, (np.arange(400) + 0.5) / 400)).reshape(2, 1, -1)
+    place, weight = polar(x, y, u, lit)
+
+    def inside(place, slack):
+        angle = np.arctan2(place[1] + corner[1], place[0] + corner[0])
+        turned = np.remainder(angle - lit[0] + np.pi, 2 * np.pi) - np.pi
+        return (turned > lit[1] - slack) & (turned < lit[2] + slack)
+
+    assert inside(place, 1e-3)[weight > 0].all()
+    middle = (np.indices((1000, 1000)).reshape(2, 1, -1) + 0.5) / 1000
+    assert weight.mean() == pytest.approx(inside(middle, 0).mean(), rel=5e-3, abs=2e-4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_directions_in_which_a_beam_is_lit(projection, seed):
+    """In none beside them, and in those within a step of all."""
+    random = np.random.default_rng(seed)
+    turn = random.uniform(-np.pi, np.pi, 3)
+    beam = SpotLight(9.0, light_to_world=place(INSIDE, turn), angle=random.uniform(0.1, 0.8))
+    camera = replace(CAMERA, projection=projection, viewplane=(-0.6, 0.6, -0.4, 0.4))
+    if projection == "orthographic":
+        camera = replace(camera, viewplane=(-3, 3, -2, 2))
+    made = replace(scene(beam), camera=camera)
+    around = parts_of(made, DirectLight(made), Settings(), lambda: None)[0].by
+    scattering = around.own[0]._integrand._scattering
+    seen = _lit_around(scattering.rays, scattering.cones, 0, around.blocks[0].centre)
+    lit = lit_angles(scattering.rays, scattering.lights, scattering.cones, 0)
+    step = 2 * np.pi / AROUND
+    turned = np.remainder((np.arange(AROUND) + 0.5) * step - lit[0] + np.pi, 2 * np.pi) - np.pi
+    assert not seen[(turned < lit[1]) | (turned > lit[2])].any()
+    assert seen[(turned > lit[1] + step) & (turned < lit[2] - step)].all()
+
+
+def test_a_pixel_has_no_say_in_its_own_samples():
+    random = np.random.default_rng(5)
+    x, y = np.nonzero(random.random((9, 7)) < 0.7)
+    block = Block(0, np.zeros(0, int), np.zeros(2), x + 11, y + 5, np.zeros(len(x), bool))
+    square = random.random(len(x))
+    around = _of_neighbours(block, square)
+    for k in (0, 7, len(x) - 1):
+        near = np.maximum(np.abs(x - x[k]), np.abs(y - y[k])) == 1
+        assert around[k] == pytest.approx(square[near].mean())
+    one = Block(0, np.zeros(0, int), np.zeros(2), *(np.zeros(1, int),) * 2, np.zeros(1, bool))
+    assert _of_neighbours(one, np.ones(1)) == 0
 
 
 def test_silhouettes_are_where_depth_jumps():

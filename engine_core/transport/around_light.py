@@ -36,6 +36,9 @@ NARROW = 16.0
 FARTHEST = 64.0
 """From a spot's image, in pixels, that its beam is called narrow at most."""
 
+MARGIN = 1e-5
+"""Of a cone's sine, so that rounding leaves nothing of it out."""
+
 AROUND = 256
 """Directions in the picture in which a spot's beam is looked for."""
 
@@ -166,6 +169,34 @@ def _lit_around(rays: CameraRays, cones: AirLights, light: int, centre: np.ndarr
     return last > np.maximum(first, 0)
 
 
+def lit_angles(
+    rays: CameraRays, lights: SceneLights, cones: AirLights, light: int
+) -> tuple[float, float, float] | None:
+    """Between which directions in the picture, as `polar` wants them, a light's cone is seen; None for all.
+
+    Half planes that end in the line from the camera through the light are lines of the picture.
+    """
+    if not cones.coned[light] or lights.reach[light] > 0:
+        return None
+    place = lights.centre[:, light].astype(np.float64)
+    centre, depth = rays.image_of(place[:, None])
+    _, along = rays.exactly(*centre[:, 0])
+    along = along / np.sqrt(dot(along, along))
+    axis, cos = cones.axis[:, light].astype(np.float64), float(cones.cos[light])
+    aside = axis - along * dot(axis, along)
+    slope, sine = np.sqrt(dot(aside, aside)), np.sqrt(max(1 - cos * cos, 0)) + MARGIN
+    if sine >= slope:
+        return None
+    aside, half = aside / slope, np.arcsin(sine / slope)
+    turned = np.array([0, -half, half])
+    lines = np.cos(turned) * aside[:, None] + np.sin(turned) * np.cross(along, aside)[:, None]
+    # A line through the light has a line for an image, however long it is.
+    image, _ = rays.image_of(place[:, None] + 0.5 * depth * lines)
+    angle = np.arctan2(*(image - centre)[::-1])
+    beside = np.remainder(angle[1:] - angle[0] + np.pi, 2 * np.pi) - np.pi
+    return float(angle[0]), float(beside.min()), float(beside.max())
+
+
 @dataclass(eq=False)
 class _Weighted:
     """A first stage, and the weight of each of its points."""
@@ -185,10 +216,11 @@ class _Weighted:
 class AroundLight:
     """An integrand over pixels, whose points are spread in polar coordinates about a place of the picture."""
 
-    def __init__(self, integrand: StagedIntegrand, centre: np.ndarray) -> None:
-        """centre : (2,) float64, in pixels of the whole frame."""
-        self._integrand = integrand
-        self._centre = centre
+    def __init__(
+        self, integrand: StagedIntegrand, centre: np.ndarray, lit: tuple[float, float, float] | None = None
+    ) -> None:
+        """centre : (2,) float64, in pixels of the whole frame. lit : as in `polar`."""
+        self._integrand, self._centre, self._lit = integrand, centre, lit
         self.rest_dimensions, self.staged = integrand.rest_dimensions, integrand.staged
 
     @property
@@ -196,7 +228,7 @@ class AroundLight:
         return self._integrand.counts
 
     def first(self, pixels: Pixels, u: np.ndarray) -> _Weighted:
-        place, weight = polar(pixels.x - self._centre[0], pixels.y - self._centre[1], u)
+        place, weight = polar(pixels.x - self._centre[0], pixels.y - self._centre[1], u, self._lit)
         return _Weighted(self._integrand.first(pixels, place), weight.ravel())
 
     def rest(
@@ -208,9 +240,13 @@ class AroundLight:
         return which, values * (weight if which is None else weight.take(which))
 
 
-def polar(x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def polar(
+    x: np.ndarray, y: np.ndarray, u: np.ndarray, lit: tuple[float, float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Points of pixels whose corners are at (x, y) (B,), from the centre: in their unit squares, (2, B, S)
     float32, and weights (B, S); u (2, B, S) uniform.
+
+    lit : an angle, and from where to where beside it (less than pi in all) there is light; None for all.
     """
     x, y = (np.asarray(a, np.float64)[:, None] for a in (x, y))
     inside = (x <= 0) & (x + 1 >= 0) & (y <= 0) & (y + 1 >= 0)
@@ -218,6 +254,11 @@ def polar(x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.n
     corners = np.stack([np.arctan2(y + j, x + i) for i in (0, 1) for j in (0, 1)])
     turned = np.remainder(corners - towards + np.pi, 2 * np.pi) - np.pi
     low, high = np.where(inside, -np.pi, turned.min(axis=0)), np.where(inside, np.pi, turned.max(axis=0))
+    if lit is not None:
+        middle = np.remainder(lit[0] - towards + np.pi, 2 * np.pi) - np.pi
+        low = np.where(inside, middle + lit[1], np.maximum(low, middle + lit[1]))
+        high = np.where(inside, middle + lit[2], np.minimum(high, middle + lit[2]))
+        high = np.maximum(low, high)
     angle = towards + low + u[0] * (high - low)
     cos, sin = np.cos(angle), np.sin(angle)
     entry, leave = np.zeros_like(angle), np.full_like(angle, np.inf)

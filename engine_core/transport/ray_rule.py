@@ -84,8 +84,9 @@ class ScatteredAlongRay(Scattered):
         nodes: int = NODES,
         nodes_of_spots: int = NODES_OF_SPOTS,
         tamed: Tamed | None = None,
+        checks: int = CHECKS,
     ) -> None:
-        """lights : (L,) numbers of those without size, None for all of these. nodes : of each lane.
+        """lights : (L,) numbers of those without size, None for all of these. nodes, checks : of each lane.
 
         tamed : what `along` leaves of the light next to where it comes from; None for all.
         """
@@ -95,7 +96,7 @@ class ScatteredAlongRay(Scattered):
         if tamed is not None:
             nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
             self._tamed = replace(self._bare, nearest=nearest, whole=whole)
-        self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
+        self._nodes, self._checks = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}, checks
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind
@@ -235,7 +236,7 @@ class ScatteredAlongRay(Scattered):
                 error = _sums(lane, rough * rough, len(lanes))
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
                 lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
-                error += pieces.whole**2 * (lone / (nodes * CHECKS))
+                error += pieces.whole**2 * (lone / (nodes * self._checks))
                 error, edges = np.sqrt(error), np.bincount(lane, minlength=len(lanes))
             else:
                 at = low + (high - low) * u[0].take(lane)
@@ -259,7 +260,8 @@ class ScatteredAlongRay(Scattered):
         edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
         # Rays ask what is seen at places in each part of a lane; how right the polynomial is needs but one.
-        at = np.concatenate([u[None], (u + np.arange(CHECKS, dtype=np.float32)[:, None]) / CHECKS])
+        part = np.arange(self._checks, dtype=np.float32)[:, None]
+        at = np.concatenate([u[None], (u + part) / self._checks])
         steps, here = len(seen) - 1, np.arange(len(lanes))
         cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
         believed, known = seen[cell, here], np.ones(at.shape, bool)
@@ -281,7 +283,8 @@ class ScatteredAlongRay(Scattered):
         wrong, lane = np.nonzero((self._seen(lanes, at[1:]) != believed[1:]) & known[1:])
         if lane.size:
             change = lanes.take(lane).smooth(at[1 + wrong, lane])
-            change *= np.where(believed[1 + wrong, lane], np.float32(-1 / CHECKS), np.float32(1 / CHECKS))
+            share = np.float32(1 / self._checks)
+            change *= np.where(believed[1 + wrong, lane], -share, share)
             missing += _sums(lane, change, len(lanes))
         return missing
 

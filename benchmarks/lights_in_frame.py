@@ -26,7 +26,7 @@ from .scenes.fog import lights_in_frame
 
 FOLDER = dev.PRIVATE / "lights_in_frame"
 SAMPLES = {
-    "control_variates": (1, 2, 4, 8, 16, 64),
+    "control_variates": (1, 2, 3, 4, 8, 16, 64),
     "sobol": (16, 64),
     "monte_carlo": (64,),
 }
@@ -44,9 +44,11 @@ def converged(size: int, samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def picture(scene: Scene, integrator: str, samples: int, seed: int) -> tuple[np.ndarray, float]:
-    """(H, W, 3) radiance, row 0 at the bottom, and shadow rays a pixel."""
+    """(H, W, 3) radiance, row 0 at the bottom, and rays a pixel, towards lights and of the camera."""
     film = render(scene, Settings(samples=samples, seed=seed, integrator=integrator))
-    return film.combined[..., :3].astype(np.float64), film.statistics["shadow rays"] / film.depth.size
+    return film.combined[..., :3].astype(np.float64), (
+        film.statistics["shadow rays"] + film.statistics["camera rays"]
+    ) / film.depth.size
 
 
 def places(scene: Scene) -> np.ndarray:
@@ -117,12 +119,12 @@ def main() -> None:
                 f"{100 * blotch:+.2f} %", f"{seconds:.2f}",
             ])  # fmt: skip
             print(" ".join(rows[-1]), flush=True)
-    head = ("integrator", "samples", "shadow rays a pixel", "relative RMSE", "its worst seed", "mean",
+    head = ("integrator", "samples", "rays a pixel", "relative RMSE", "its worst seed", "mean",
             "worst about a light", "processor seconds")  # fmt: skip
     samples, rays, errors = np.log(reached).T
     by_rays, by_samples = (np.exp(np.interp(np.log(GOAL), x, errors)) for x in (rays, samples))
     text = (
-        f"{table(head, rows)}\n\nControl variates at {GOAL} shadow rays a pixel: {by_rays:.4f}; "
+        f"{table(head, rows)}\n\nControl variates at {GOAL} rays a pixel: {by_rays:.4f}; "
         f"at {GOAL} samples: {by_samples:.4f}. "
         f"The converged picture's own error: {own_error(*halves):.4f}."
     )

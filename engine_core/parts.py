@@ -28,12 +28,11 @@ from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
 from .transport.ray_rule import (
     BISECTIONS,
-    CHECKS,
-    NODES,
     RAY_POINTS,
     AlongRay,
     PointsOfRay,
     ScatteredAlongRay,
+    nodes_and_checks,
 )
 from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
@@ -44,9 +43,6 @@ Region = tuple[int, int, int, int]
 SHADOW_RAYS = 2
 """In fog, to each light, for each of `Settings.samples`: whole rays with many bring more than a sample of a
 surface does."""
-
-NODE_RAYS = NODES + 2 * BISECTIONS
-"""That a whole ray takes to each light without size, with a shadow on the way."""
 
 AROUND_LIGHTS = 2, 2
 """Nodes and checks of a whole ray next to a light in the picture. Most of what it brings comes from there,
@@ -277,7 +273,10 @@ def _of_fog(
     if bare.size:
         whole = ScatteredAlongRay(scattering, bare, check, tamed=calm)
         worth = min(1.0, MANY / bare.size) ** 0.5
-        node, ray = (int(n * worth) for n in (NODE_RAYS, NODE_RAYS + CHECKS))
+        nodes, checks = nodes_and_checks(bare.size)
+        # With a shadow on the way.
+        node = nodes + 2 * BISECTIONS
+        node, ray = (int(n * worth) for n in (node, node + checks))
         by = OverScreen(
             whole,
             AlongRay(node),

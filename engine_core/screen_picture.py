@@ -30,8 +30,9 @@ from .transport.camera_hits import Pixels
 
 CHANNELS = 3
 
-SHARE = 1 / 3
-"""Of the budget, spent on nodes."""
+SHARE, SHARE_OF_RAYS = 1 / 3, 1 / 2
+"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more.
+Samples have what the first leaves."""
 
 FEWEST = 4096
 """Nodes and samples of a picture, however small."""
@@ -162,7 +163,7 @@ class ScreenPicture:
         )
         # Evaluations to a sample of the budget: a rule's rays count one by one.
         worth = evaluator.cost / self._cost if self._rule is None else SHADOW_RAYS
-        budget = total * worth * (1.0 if alone else SHARE)
+        budget = total * worth * (1.0 if alone else SHARE if self._rule is None else SHARE_OF_RAYS)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
         # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of
         # regions than regions; but what is sampled there is f.
@@ -173,7 +174,7 @@ class ScreenPicture:
             tree = RegionTree(bins, 2, log_edge, evaluator, False)
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
             self.regions, self.nodes = len(tree), tree.store.count
-            self._left -= evaluator.evaluations / worth
+            self._left -= min(evaluator.evaluations / worth, SHARE * total)
             if helps or alone:
                 self._tree, self.told = tree, "built"
         grown = perf_counter()

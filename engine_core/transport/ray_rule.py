@@ -34,6 +34,9 @@ BISECTIONS = 6
 CHECKS = 32
 """Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
 
+FEW_LIGHTS = 2
+"""Of more, each has half of the nodes and checks: of what may be missed of one there is less in all."""
+
 RAY_POINTS = 8
 """Of a ray that is not followed, but asked at a few points: other rays of its pixel differ more than that."""
 
@@ -68,6 +71,12 @@ _LANES = 1 << 14
 _GOLDEN = (5**0.5 - 1) / 2
 
 
+def nodes_and_checks(lights: int) -> tuple[int, int]:
+    """Of each of so many lights, along a ray."""
+    fewer = 1 if lights <= FEW_LIGHTS else 2
+    return (NODES - 1) // fewer + 1, CHECKS // fewer
+
+
 class ScatteredAlongRay(Scattered):
     """The light of lights without size that a whole camera ray brings.
 
@@ -81,12 +90,13 @@ class ScatteredAlongRay(Scattered):
         scattering: SingleScattering,
         lights: np.ndarray | None = None,
         check=lambda: None,
-        nodes: int = NODES,
+        nodes: int | None = None,
         nodes_of_spots: int = NODES_OF_SPOTS,
         tamed: Tamed | None = None,
-        checks: int = CHECKS,
+        checks: int | None = None,
     ) -> None:
-        """lights : (L,) numbers of those without size, None for all of these. nodes, checks : of each lane.
+        """lights : (L,) numbers of those without size, None for all of these. nodes, checks : of each lane,
+        None for as many as so many lights have.
 
         tamed : what `along` leaves of the light next to where it comes from; None for all.
         """
@@ -96,7 +106,9 @@ class ScatteredAlongRay(Scattered):
         if tamed is not None:
             nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
             self._tamed = replace(self._bare, nearest=nearest, whole=whole)
-        self._nodes, self._checks = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}, checks
+        usual = nodes_and_checks(len(self._lights))
+        nodes, self._checks = nodes or usual[0], checks or usual[1]
+        self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind

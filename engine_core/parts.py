@@ -18,7 +18,7 @@ from .integration.integrated import Integrated
 from .integration.mapping import Map
 from .scene import Scene
 from .settings import Settings
-from .transport.around_light import AroundLight, Block, blocks, lit_angles, tamed
+from .transport.around_light import AroundLight, Block, blocks, lit_angles, peaks, tamed
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
@@ -27,9 +27,11 @@ from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
 from .transport.ray_rule import (
+    ALL,
     BISECTIONS,
     RAY_POINTS,
     AlongRay,
+    NextToLight,
     PointsOfRay,
     ScatteredAlongRay,
     nodes_and_checks,
@@ -44,6 +46,9 @@ SHADOW_RAYS = 2
 """In fog, to each light, for each of `Settings.samples`: whole rays with many bring more than a sample of a
 surface does."""
 
+NEXT_POINTS = 2
+"""Of a ray next to one of many lights in the picture."""
+
 AROUND_LIGHTS = 2, 2
 """Nodes and checks of a whole ray next to a light in the picture. Most of what it brings comes from there,
 where little stands in the way, and a pixel there has many rays."""
@@ -55,9 +60,9 @@ MOST_BARE, MOST_SIZED = 128, 16
 """Lights without size whose whole rays are looked at: of more, some are chosen at every sample. And lights
 with a size, up to which pixels about lights in the picture are integrated by themselves."""
 
-MANY = 32
-"""Lights whose errors even out: of more, weak ones have few rays, and a whole ray counts for less of the
-budget by the root of their number, so that outlines have what they need."""
+RAYS_OF_MANY = 20, 12, 9
+"""Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
+each."""
 
 SPLIT = 4
 """Points of the rest for each camera ray, where outlines are sampled."""
@@ -247,46 +252,47 @@ def _of_fog(
     bare, choice = scattering.sizeless, None
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
-    every = np.union1d(bare, rest)
-    if (
-        settings.integrator == "control_variates"
-        and scattering.screen_dimensions == 2
-        and len(bare) <= MOST_BARE
-        and len(rest) <= MOST_SIZED
-    ):
-        found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
-        if found:
-            lit = [lit_angles(scattering.rays, scattering.lights, scattering.cones, b.light) for b in found]
-            own = [
-                AroundLight(integrands(every[every == b.light])[0], b.centre, angles)
-                for b, angles in zip(found, lit, strict=True)
-            ]
+    # Of many lights, blocks have the peaks alone.
+    many = len(bare) > ALL
+    every = rest if many else np.union1d(bare, rest)
+    if settings.integrator == "control_variates" and scattering.screen_dimensions == 2:
+        found, own, others = [], [], []
+        if len(rest) <= MOST_SIZED:
+            found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
+            own = [integrands(every[every == b.light])[0] for b in found]
             groups = [(b.beside, np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
             others = [
                 [(one, len(lights)) for lights in group for one in integrands(lights)] for group in groups
             ]
+        if many:
+            high, calm = peaks(scattering.rays, scattering.lights, scattering.cones, bare, region)
+            own += [NextToLight(scattering, b.light, calm, check, NEXT_POINTS) for b in high]
+            found, others = found + high, others + [[] for _ in high]
+        elif found:
+            calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
+        if found:
+            lit = [lit_angles(scattering.rays, scattering.lights, scattering.cones, b.light) for b in found]
+            own = [AroundLight(one, b.centre, at) for one, b, at in zip(own, found, lit, strict=True)]
             by = AroundLights(found, own, others)
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
-            calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
         else:
             elsewhere = None
     if bare.size:
-        whole = ScatteredAlongRay(scattering, bare, check, tamed=calm)
-        worth = min(1.0, MANY / bare.size) ** 0.5
+        whole = ScatteredAlongRay(scattering, bare, check, tamed=calm, samples_too=many)
         nodes, checks = nodes_and_checks(bare.size)
         # With a shadow on the way.
         node = nodes + 2 * BISECTIONS
-        node, ray = (int(n * worth) for n in (node, node + checks))
+        node, ray, alone = RAYS_OF_MANY if many else (node, node + checks, RAY_POINTS)
         by = OverScreen(
             whole,
             AlongRay(node),
             whole,
             ray,
-            PointsOfRay(scattering, bare, check),
+            PointsOfRay(scattering, bare, check, tamed=calm if many else None),
             1,
             and_beams,
-            elsewhere,
-            alone_rays=max(1, int(RAY_POINTS * worth)),
+            None if many else elsewhere,
+            alone_rays=alone,
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:

@@ -28,9 +28,10 @@ from engine_core.integration.integrated import Integrated
 from engine_core.part_pictures import _of_neighbours
 from engine_core.parts import parts_of
 from engine_core.shading.closures import Emission, Mix, Transparent
-from engine_core.transport.around_light import AROUND, Block, _lit_around, lit_angles, polar
+from engine_core.transport.around_light import AROUND, Block, _lit_around, lit_angles, peaks, polar
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
+from engine_core.transport.ray_rule import ScatteredAlongRay
 from engine_core.transport.silhouettes import silhouettes
 
 CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
@@ -298,6 +299,55 @@ def test_directions_in_which_a_beam_is_lit(projection, seed):
     turned = np.remainder((np.arange(AROUND) + 0.5) * step - lit[0] + np.pi, 2 * np.pi) - np.pi
     assert not seen[(turned < lit[1]) | (turned > lit[2])].any()
     assert seen[(turned > lit[1] + step) & (turned < lit[2] - step)].all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_all_pixels_where_a_light_is_tamed_are_about_it(projection, seed):
+    """A point and a beam in wide pictures: what no block has is as bright with tamed lights as without."""
+    random = np.random.default_rng(seed)
+    lights = (
+        PointLight(60.0, position=(random.uniform(-2, 2), 1.0, random.uniform(0.2, 2.5))),
+        SpotLight(9.0, light_to_world=place(INSIDE, random.uniform(-np.pi, np.pi, 3)), angle=0.4),
+    )
+    half = (3, 2) if projection == "orthographic" else (1.5, 1.0)
+    plane = (-half[0], half[0], -half[1], half[1])
+    made = replace(scene(*lights), camera=replace(CAMERA, projection=projection, viewplane=plane))
+    around = parts_of(made, DirectLight(made), Settings(), lambda: None)[0].by
+    scattering = around.own[0]._integrand._scattering
+    found, calm = peaks(scattering.rays, scattering.lights, scattering.cones, np.arange(2), CAMERA.region)
+    x, y = (a.ravel().astype(np.int32) for a in np.indices((48, 32)))
+    about = np.zeros((2, 48, 32), bool)
+    for block in found:
+        about[block.light, block.x, block.y] = True
+    u = random.random((2, len(x), 4)).astype(np.float32)
+    rays = around.own[0]._integrand.first(Pixels(x, y, np.zeros_like(x)), u)
+    assert rays.lane is None
+    for k, at in enumerate(about):
+        alone = (ScatteredAlongRay(scattering, np.array([k]), tamed=t) for t in (None, calm))
+        whole, tamed = (one.along(rays, None)[0].sum(axis=0).reshape(48, 32, 4) for one in alone)
+        differs = np.abs(whole - tamed).max(axis=2) > 1e-6 * whole.mean()
+        assert differs[at].any() and not differs[~at].any()
+
+
+def test_many_lights_in_fog_are_their_sum():
+    """In the mean over seeds, where all of their peaks, and beams, are in the picture."""
+    random = np.random.default_rng(3)
+    spots, points = (random.uniform((-1.5, -0.5, 1.2), (1.5, 1.5, 2.4), (n, 3)) for n in (12, 12))
+    lights = [PointLight(random.uniform(1, 20), position=p) for p in points]
+    lights += [
+        SpotLight(random.uniform(1, 20), light_to_world=place(p, random.uniform(-2, 2, 3)), angle=0.5)
+        for p in spots
+    ]
+
+    def quarters(made, settings):
+        return render(made, settings).volume.reshape(2, 16, 2, 24, 3).mean(axis=(1, 3, 4), dtype=np.float64)
+
+    alone = [[quarters(scene(one), Settings(16, seed=50 + s)) for one in lights] for s in range(3)]
+    alone = np.sum(alone, axis=1)
+    ours = np.array([quarters(scene(*lights), Settings(2, seed=s)) for s in range(12)])
+    error = np.hypot(ours.std(axis=0, ddof=1) / 12**0.5, alone.std(axis=0, ddof=1) / 3**0.5)
+    assert (np.abs(ours.mean(axis=0) - alone.mean(axis=0)) < 4.5 * error + 1e-3 * alone.mean()).all()
 
 
 def test_a_pixel_has_no_say_in_its_own_samples():

@@ -197,6 +197,63 @@ def lit_angles(
     return float(angle[0]), float(beside.min()), float(beside.max())
 
 
+def peaks(
+    rays: CameraRays,
+    lights: SceneLights,
+    cones: AirLights,
+    numbers: np.ndarray,
+    region: tuple[int, int, int, int],
+) -> tuple[list[Block], Tamed]:
+    """Of lights ``numbers``, without size: tamed ones, and blocks that have all pixels of a region
+    (x0, y0, x1, y1) that see more of the lights themselves. cones : of all lights.
+
+    Unlike `blocks`, these overlap: what the pixels have of all other lights is no business of theirs.
+    """
+    found = []
+    nearest, whole = np.zeros((2, len(lights)))
+    image, depth = rays.image_of(lights.centre[:, numbers])
+    seen = (depth > rays.clip_start) & (np.abs(image) < 1e9).all(axis=0) & np.isfinite(lights.reach[numbers])
+    for k, centre in zip(numbers[seen], image[:, seen].T, strict=True):
+        if not _square(centre, HALF_WIDTH, region)[0].size:
+            continue
+        nearest[k], far = _outside(rays, lights, k, centre, HALF_WIDTH), HALF_WIDTH
+        lit = lit_angles(rays, lights, cones, k)
+        if lit is not None and (wide := lit[2] - lit[1]) < np.pi / 2:
+            far = max(far, min(NARROW / 2 / np.tan(wide / 2), FARTHEST))
+        if far > HALF_WIDTH:
+            whole[k] = _outside(rays, lights, k, centre, far)
+        x, y = _square(centre, far, region)
+        _, weight = polar(x - centre[0], y - centre[1], np.full((2, len(x), 1), 0.5), lit)
+        rows = np.flatnonzero(weight)
+        x, y = x.take(rows), y.take(rows)
+        core = np.hypot(x + 0.5 - centre[0], y + 0.5 - centre[1]) < CORE + 0.5
+        found.append(Block(int(k), numbers[:0], centre, x, y, core))
+    beams = np.zeros((region[2] - region[0], region[3] - region[1]), bool)
+    return found, Tamed(nearest, whole, beams)
+
+
+def _square(
+    centre: np.ndarray, half: float, region: tuple[int, int, int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (B,) of a region that a square about a place touches."""
+    low, high = np.floor(centre - half).astype(int), np.floor(centre + half).astype(int) + 1
+    columns, rows = (
+        np.arange(max(first, a), min(last, b))
+        for first, last, a, b in zip(low, high, region[:2], region[2:], strict=True)
+    )
+    x, y = np.meshgrid(columns, rows, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def _outside(rays: CameraRays, lights: SceneLights, light: int, centre: np.ndarray, half: float) -> float:
+    """A distance to a light, at which all rays outside of a square about its image pass it at least."""
+    side = np.linspace(-half, half, 129)
+    edge = np.full_like(side, half)
+    place = np.concatenate([[side, edge], [side, -edge], [edge, side], [-edge, side]], axis=1)
+    # The least may be between two of these places, but is no nearer than this.
+    return 0.999 * float(_distances(rays, lights, light, centre[:, None] + place).min())
+
+
 @dataclass(eq=False)
 class _Weighted:
     """A first stage, and the weight of each of its points."""

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..geometry.vectors import dot, take
 from ..integration.inner_rules import InnerRule, Nodes
 from ..integration.rules import gauss
 from .around_light import Tamed
@@ -40,18 +41,16 @@ FEW_LIGHTS = 2
 RAY_POINTS = 8
 """Of a ray that is not followed, but asked at a few points: other rays of its pixel differ more than that."""
 
-FEW = 64.0
-"""Points of a lane in an unbiased estimate, times its share of the ray's light to the power of 2/3: so it
-costs least where the error of n points, evenly spread, of a step falls as 1 / n."""
-
-MOST_FEW = 16
-"""Points that cost as much as nodes, bisections and checks."""
-
 ALL = 16
-"""Lights up to which each has all of its rays."""
+"""Lights up to which each has all of its rays. Of more, one that brings less than a part in so many of what a
+ray brings has few."""
 
-LOOKS = 1 / 4, 3 / 4
-"""Places of a lane that tell how much it brings, about."""
+FEW, FEWER = 8, 2
+"""Points of its lane, of a ray that is followed and of one that is asked at a few points. Their errors even
+out, and most of a lane's cost is not of its rays."""
+
+NODES_OF_MANY = 9
+"""`NODES`, of more lights than these."""
 
 POINTS, POINTS_OF_PEAKS = 10, 16
 """Of the quadrature of what is smooth, in each piece of a lane; more where a phase function has a peak."""
@@ -69,6 +68,12 @@ _LANES = 1 << 14
 """Lanes at once, about, of rays that need all of theirs."""
 
 _GOLDEN = (5**0.5 - 1) / 2
+
+_MIDDLE = np.full((1, 1), 0.5)
+"""A place of a lane that tells how much it brings, about."""
+
+_LAST = np.float32(1 - 2.0**-24)
+"""The last place but the end, which of a sun's lane may be infinitely far."""
 
 
 def nodes_and_checks(lights: int) -> tuple[int, int]:
@@ -94,25 +99,35 @@ class ScatteredAlongRay(Scattered):
         nodes_of_spots: int = NODES_OF_SPOTS,
         tamed: Tamed | None = None,
         checks: int | None = None,
+        samples_too: bool = False,
     ) -> None:
         """lights : (L,) numbers of those without size, None for all of these. nodes, checks : of each lane,
         None for as many as so many lights have.
 
         tamed : what `along` leaves of the light next to where it comes from; None for all.
+        samples_too : whether samples leave no more.
         """
         super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
         self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
         self._tamed = self._bare
         if tamed is not None:
-            nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
-            self._tamed = replace(self._bare, nearest=nearest, whole=whole)
+            self._tamed = self._taming(tamed)
+        if samples_too:
+            self._bare = self._tamed
         usual = nodes_and_checks(len(self._lights))
         nodes, self._checks = nodes or usual[0], checks or usual[1]
+        if len(self._lights) > ALL:
+            nodes, nodes_of_spots = (min(n, NODES_OF_MANY) for n in (nodes, nodes_of_spots))
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
+        self._few = FEW
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind
         self.shadow_rays = sum(int((kinds == kind).sum()) * n for kind, n in self._nodes.items())
+
+    def _taming(self, tamed: Tamed) -> BareLights:
+        nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
+        return replace(self._bare, nearest=nearest, whole=whole)
 
     def rest(
         self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray
@@ -123,7 +138,7 @@ class ScatteredAlongRay(Scattered):
             lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
         u = u.reshape(len(u), -1)
         if len(self._lights) <= ALL:
-            values, _ = self._estimate(rays, lane, u)
+            values, _ = self._estimate(rays, lane, u, self._bare)
             return None, values
         lane = np.arange(u.shape[1]) if lane is None else lane
         step = max(1, _LANES // len(self._lights))
@@ -136,20 +151,21 @@ class ScatteredAlongRay(Scattered):
         edges shadows have along the ray.
         """
         self._check()
-        return self._estimate(rays, lane, None)
+        return self._estimate(rays, lane, None, self._tamed)
 
     def _estimate(
-        self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray | None
+        self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray | None, lights: BareLights
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance (3, N); without a u also (2, N) the deviation that u would give it, summed over channels,
-        and how many edges shadows have.
+        """Radiance (3, N) of lights; without a u also (2, N) the deviation that u would give it, summed over
+        channels, and how many edges shadows have.
         """
         count = len(rays) if lane is None else len(lane)
         radiance, told = np.zeros((3, count)), np.zeros((2, count))
         if count == 0:
             return radiance, told
         segments = FogSegments.of(rays, lane, self._scattering.media)
-        for kind, lanes in self._lanes(segments, self._tamed if u is None else self._bare):
+        edged = []
+        for kind, lanes in self._lanes(segments, lights):
             if len(lanes) == 0:
                 continue
             ray = segments.ray.take(lanes.segment)
@@ -163,42 +179,46 @@ class ScatteredAlongRay(Scattered):
                 radiance += [np.bincount(ray, channel, count) for channel in whole]
             if error is not None:
                 told[0] += np.bincount(ray, np.square(lanes.radiance(error).sum(axis=0)), count)
-                told[1] += np.bincount(ray, edges, count)
+                edged.append((edges > 0, ray, edges, whole.sum(axis=0)))
+        # A shadow of one of many lights is no outline to speak of.
+        least = radiance.sum(axis=0) / ALL if len(self._lights) > ALL else np.zeros(count)
+        for some, ray, edges, bright in edged:
+            some &= bright >= least.take(ray)
+            told[1] += np.bincount(ray[some], edges[some], count)
         told[0] = np.sqrt(told[0])
         return self._bounded(radiance), told
 
     def _of_many(self, rays: FogRays, lane: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Radiance (3, N) of several lights at u (2, N), of each by as many points as it is worth."""
+        """Radiance (3, N) of many lights at u (2, N): of each that brings little by a few points."""
         count = len(lane)
         segments = FogSegments.of(rays, lane, self._scattering.media)
         every = [found for found in self._lanes(segments, self._bare, True) if len(found[1])]
-        total, bright = np.zeros(count), []
-        for _, lanes in every:
-            looks = np.array(LOOKS)[:, None]
-            unshadowed = lanes.radiance(lanes.smooth(looks).mean(axis=2)).sum(axis=0)
-            seen = self._seen(lanes, looks).mean(axis=0)
-            total += np.bincount(segments.ray.take(lanes.segment), unshadowed * seen, count)
-            bright.append(unshadowed)
+        of = [segments.ray.take(lanes.segment) for _, lanes in every]
+        bright, total = [], np.zeros(count)
+        for (_, lanes), ray in zip(every, of, strict=True):
+            bright.append(lanes.radiance(lanes.smooth(_MIDDLE)[:, :, 0]).sum(axis=0))
+            total += np.bincount(ray, bright[-1], count)
+        total /= ALL
         radiance = np.zeros((3, count))
-        for (kind, lanes), unshadowed in zip(every, bright, strict=True):
-            ray = segments.ray.take(lanes.segment)
-            share = unshadowed / np.maximum(total.take(ray), 1e-300)
-            wanted = np.clip(np.log2(FEW * share ** (2 / 3) + 1e-300), 0, 10)
-            points = np.exp2(np.rint(wanted)).astype(int)
-            points[points > MOST_FEW] = 0
-            for n in np.unique(points):
-                rows = np.flatnonzero(points == n)
-                some, of = lanes.take(rows), ray.take(rows)
-                at = u.take(of, axis=1)
-                value = self._by_few(some, n, at[-1]) if n else self._integral(some, self._nodes[kind], at)[0]
-                radiance += [np.bincount(of, channel, count) for channel in some.radiance(value)]
+        for (kind, lanes), ray, unshadowed in zip(every, of, bright, strict=True):
+            much = unshadowed > total.take(ray)
+            for by_few, rows in ((True, np.flatnonzero(~much)), (False, np.flatnonzero(much))):
+                if len(rows) == 0:
+                    continue
+                some, own = (lanes, ray) if len(rows) == len(lanes) else (lanes.take(rows), ray.take(rows))
+                at = u.take(own, axis=1)
+                value = (
+                    self._by_few(some, at[-1]) if by_few else self._integral(some, self._nodes[kind], at)[0]
+                )
+                radiance += [np.bincount(own, channel, count) for channel in some.radiance(value)]
         return self._bounded(radiance)
 
-    def _by_few(self, lanes: Lanes, points: int, u: np.ndarray) -> np.ndarray:
+    def _by_few(self, lanes: Lanes, u: np.ndarray) -> np.ndarray:
         """(G, C, n) integrals of `Lanes.smooth` times visibility, by a point in each part, at u (n,)."""
         # Of many lights the errors of one place in all of their lanes would add up.
-        u = (u + lanes.light * _GOLDEN) % 1
-        s = np.minimum((u + np.arange(points)[:, None]) / points, 1 - 2.0**-24)  # as in `PointsOfRay`
+        u = (u + lanes.light * np.float32(_GOLDEN)) % 1
+        s = (np.arange(self._few, dtype=np.float32)[:, None] + u) / self._few
+        np.minimum(s, _LAST, out=s)
         value = lanes.smooth(s)
         value *= self._seen(lanes, s)
         return value.mean(axis=2, dtype=np.float64)
@@ -325,16 +345,49 @@ class PointsOfRay(ScatteredAlongRay):
         lights: np.ndarray | None = None,
         check=lambda: None,
         points: int = RAY_POINTS,
+        tamed: Tamed | None = None,
     ) -> None:
-        """lights : as in `ScatteredAlongRay`. points : in each lane."""
-        super().__init__(scattering, lights, check, points, points)
+        """lights : as in `ScatteredAlongRay`. points : in each lane. tamed : what samples leave of lights."""
+        super().__init__(scattering, lights, check, points, points, tamed, samples_too=tamed is not None)
+        self._few = FEWER
 
     def _integral(self, lanes: Lanes, nodes: int, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
         s = (np.arange(nodes, dtype=np.float32)[:, None] + u[0]) / nodes
-        np.minimum(s, 1 - np.float32(2.0**-24), out=s)  # a sun's lane may have no end
+        np.minimum(s, _LAST, out=s)
         value = lanes.smooth(s)
         value *= self._seen(lanes, s)
         return value.mean(axis=2, dtype=np.float64), None, None
+
+
+class NextToLight(PointsOfRay):
+    """What a light brings more than the same, tamed: by rays that pass next to it."""
+
+    def __init__(
+        self,
+        scattering: SingleScattering,
+        light: int,
+        tamed: Tamed,
+        check=lambda: None,
+        points: int = RAY_POINTS,
+    ) -> None:
+        """points : of each ray."""
+        super().__init__(scattering, np.array([light]), check, points)
+        self._tamed = self._taming(tamed)
+        self._reach = max(tamed.nearest[light], tamed.whole[light])
+
+    def rest(self, rays, lane, u):
+        self._check()
+        u, split = u.astype(np.float32), u.shape[2]
+        lane = np.arange(len(rays)) if lane is None else lane
+        if lane.size < u[0].size:
+            lane = np.repeat(lane, split)
+        away = self._bare.position - take(rays.origin, lane)
+        direction = take(rays.direction, lane)
+        away -= dot(away, direction) * direction
+        which = np.flatnonzero(dot(away, away) < self._reach**2)
+        lane, u = lane.take(which), u.reshape(len(u), -1).take(which, axis=1)
+        values, less = (self._estimate(rays, lane, u, lights)[0] for lights in (self._bare, self._tamed))
+        return which, values - less
 
 
 class AlongRay(InnerRule):

@@ -141,7 +141,7 @@ class AroundLightsPicture:
         """
         self._work = []
         for term in self._terms:
-            wanted = term.spread * (self._settings.samples / max(bright, np.finfo(np.float32).tiny))
+            wanted = term.spread * (self._settings.samples / max(bright, float(np.finfo(np.float32).tiny)))
             # What costs more is taken less often.
             wanted = SAMPLES * np.cbrt(np.square(wanted) / term.lights)
             log = np.rint(np.log2(np.clip(wanted, 2 * term.first, MOST_SAMPLES))).astype(int)

@@ -34,8 +34,9 @@ TILES = 8
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
-BETTER = 0.9
-"""Part of the deviation of f - h that f may have: in a few pixels either may seem better by chance."""
+BETTER, SURE = 0.9, 1.0
+"""Part of the deviation of f - h that f may have, and by how many standard errors it must be below that: in a
+few pixels either may seem better by chance."""
 
 
 class Trial:
@@ -69,11 +70,12 @@ class Trial:
         if not self._tried and evaluations >= TRIED_AT * self._budget:
             self._tried = True
             of_h, of_f = self._deviations()
-            self.beaten = of_f < BETTER * of_h
+            gain = BETTER * of_h - of_f
+            self.beaten = gain.sum() > SURE * np.sqrt(len(gain)) * gain.std()
         return self.beaten
 
-    def _deviations(self) -> tuple[float, float]:
-        """Of nets of f - h, and of f: sums over the pixels."""
+    def _deviations(self) -> np.ndarray:
+        """(2, P) of nets of f - h, and of f, in each of the pixels."""
         seed, bins = self._settings.seed + 9, self._tree.bins
         kinds, nets = (False, True), 2
         count = 1 << int(np.log2(np.clip(self._settings.samples / 2, 1, LONGEST)))
@@ -93,7 +95,7 @@ class Trial:
             tile = variate.tile(number)
             x, y = tile.index
             which = tried[x, y]
-            found = np.zeros(len(kinds))
+            found = np.zeros((len(kinds), np.count_nonzero(which)))
             if not which.any():
                 return found
             pixels, total = self._pixels(tile.index), len(which)
@@ -112,10 +114,10 @@ class Trial:
                     plain=np.full(total, plain),
                 )
                 # Samples go where the deviation is: its mean counts, not that of its square.
-                found[kind] = np.abs(spread.twice[:, which]).sum()
+                found[kind] = np.abs(spread.twice[:, which]).sum(axis=0)
             return found
 
-        of_h, of_f = np.sum(self._map(sample, [int(n) for n in numbers]), axis=0)
+        found = np.concatenate(self._map(sample, [int(n) for n in numbers]), axis=1)
         self._tree.leaves().density[:] = own
         self.spent += int(each * share * np.count_nonzero(tried))
-        return float(of_h), float(of_f)
+        return found

@@ -26,11 +26,12 @@ def clear(made: Scene) -> Scene:
     return dataclasses.replace(made, volumes=volumes)
 
 
-@pytest.mark.parametrize("better", [0.0, np.inf])
+@pytest.mark.parametrize("better", [0.0, 1e9])
 def test_the_mean_is_right_whether_h_is_given_up_or_not(
     fence: Scene, better: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trial, "BETTER", better)
+    monkeypatch.setattr(trial, "SURE", 0.0)
     films = [render(fence, Settings(samples=4, seed=seed, threads=1)) for seed in range(40)]
     gave_up = {film.statistics["control variate"].startswith("given up") for film in films}
     assert gave_up == {better > 0}

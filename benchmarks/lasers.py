@@ -20,7 +20,7 @@ from engine_core.image.film import Film
 from engine_core.integration.point_sets import staged_points
 from engine_core.integration.sample_mean import sum_samples
 from engine_core.parts import Part, cell_of, parts_of
-from engine_core.render import PICTURES
+from engine_core.render import PICTURES, Refined
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 
@@ -77,10 +77,19 @@ def by_control_variates(scene: Scene, samples: int, seed: int) -> tuple[np.ndarr
     settings = Settings(samples=samples, seed=seed, threads=1)
     found = parts(scene, settings)
     film = Film.empty(*scene.camera.region_size, [part.shows for part in found])
-    start = time.process_time()
+    start, pictures = time.process_time(), []
     for part, layer in zip(found, film.layers[1:], strict=True):
         picture = PICTURES[type(part.by)](part.by, settings, scene.camera.region, layer, lambda: None)
         picture.build(_in_turn, lambda: False)
+        pictures.append(picture)
+    # As the renderer does when all are built.
+    around = sum(layer.radiance.sum(axis=2) for layer in film.layers[1:])
+    for picture in pictures:
+        if isinstance(picture, Refined):
+            picture.allocate(_in_turn, around, float(around.mean()), None)
+            for number in range(len(picture)):
+                picture.refine(number, lambda done: None)
+            picture.show(_in_turn)
     seconds = time.process_time() - start
     return sum(layer.radiance.astype(np.float64) for layer in film.layers[1:]), seconds
 

@@ -50,7 +50,7 @@ PIXELS_OF_SQUARE = 256 * 256
 RACED = (
     "soft_shadow", "mixed_lights", "many_lights", "interior", "slats", "studio_spheres", "veach_plates",
     "violin", "dragon", "occluder", "pumpkin", "lighthouse", "fogged_interior", "stage", "fog_ball",
-    "fog_area", "two_spots", "leaves",
+    "fog_area", "two_spots", "leaves", "fence",
 )  # fmt: skip
 SCRATCH = dev.PRIVATE / "race"
 DOCUMENT = dev.ROOT / "docs" / "benchmarks.md"

@@ -90,6 +90,7 @@ class ControlVariatePicture:
         self._options = ControlVariates(share=SHARE)
         self.regions = self.nodes = 0
         self.told = "built"
+        self._reached = -1
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> bool:
         """Build the polynomials and write their means into the film; False where not one region is afforded.

@@ -52,6 +52,9 @@ PICTURES = {
 Refined = ScreenPicture | AroundLightsPicture
 """Of these, what samples are taken of when all are built."""
 
+Built = tuple[Refined | NetPicture | SeenPicture, float]
+"""A part's picture, and the seconds that it took to build."""
+
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
@@ -319,10 +322,8 @@ class _Render:
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
-    def _build_parts(self, pool: Executor) -> tuple[list[tuple], str | None]:
-        """Pictures of fog and lasers, built and shown, each with the seconds that took, and why it was
-        stopped, if it was.
-        """
+    def _build_parts(self, pool: Executor) -> tuple[list[Built], str | None]:
+        """Pictures of fog and lasers, built and shown; and why it was stopped, if it was."""
         if not (self._parts and self._parts_done):
             return [], None
         built, ended = [], None
@@ -343,7 +344,7 @@ class _Render:
         return built, ended
 
     def _refine_parts(
-        self, pool: Executor, parts: list[tuple], surfaces: ControlVariatePicture | None, ended: str | None
+        self, pool: Executor, parts: list[Built], surfaces: ControlVariatePicture | None, ended: str | None
     ) -> str | None:
         """Sample what was built, unless it is ``ended``; returns why it was stopped, if it was."""
         # What is worth a sample depends on all that is shown.

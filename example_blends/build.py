@@ -17,7 +17,7 @@ FOLDER = Path(__file__).resolve().parent
 SCENES = (
     "soft_shadow", "mixed_lights", "many_lights", "instances", "interior", "slats", "studio_spheres",
     "veach_plates", "violin", "occluder", "pumpkin", "lighthouse", "laser", "fogged_interior", "stage",
-    "fog_ball", "fog_area", "two_spots", "leaves",
+    "fog_ball", "fog_area", "two_spots", "leaves", "fence",
 )  # fmt: skip
 
 WITH_ASSETS = ("dragon", "green_dragon")

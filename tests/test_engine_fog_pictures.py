@@ -18,6 +18,7 @@ from engine_core import (
     PointLight,
     Scene,
     Settings,
+    Sink,
     SpotLight,
     SunLight,
     Volume,
@@ -422,3 +423,20 @@ def test_pixels_where_neighbours_differ_get_more_samples():
     assert counts.min() == 1 and 1.1 * counts.size < counts.sum() < 1.4 * counts.size
     means = np.array([film.layers[0].radiance[..., :3].mean(dtype=float) for film in films])
     assert abs(means.mean() - truth) < 4 * means.std(ddof=1) / 4 + 1e-3 * truth
+
+
+def test_cancel_while_fog_is_sampled_leaves_what_is_built() -> None:
+    class CancelsFog(Sink):
+        stage = ""
+
+        def progress(self, fraction, elapsed, remaining, text) -> None:
+            self.stage = text
+
+        def cancelled(self) -> bool:
+            return self.stage.startswith("Sampling fog")
+
+    made = scene(*LIT["ball"], *LIT["point"], reflectance=0.5)
+    film = render(made, Settings(samples=16, standard_error=True, threads=1), CancelsFog())
+    assert film.statistics["control variate"] == "built"
+    assert film.stopped_by == "cancel"
+    assert np.isfinite(film.combined).all() and film.combined[..., :3].max() > 0

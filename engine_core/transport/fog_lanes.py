@@ -22,6 +22,7 @@ import numpy as np
 from ..geometry.raytracer import FAR
 from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
+from ..integration.sobol import hash_combine, unit_float
 from . import phase
 from .light_samples import SceneLights
 from .media import Media
@@ -154,7 +155,8 @@ class FogSegments:
         if not (ray is None and len(which) == len(rays)):
             own = found.ray[segments]
             origin, direction = take(origin, own), take(direction, own)
-        shift = _mixed(origin + direction)
+        bits = (origin + direction).view(np.uint64)
+        shift = unit_float(hash_combine(*(bits ^ bits >> np.uint64(32))))
         return FogSegments(
             which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
             found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
@@ -457,14 +459,6 @@ class TowardsSuns(Lanes):
         _, position = self._place(s)
         towards = np.broadcast_to(self._towards[:, None], position.shape)
         return ~surfaces.occluded(_rows(position), _rows(towards), FAR).reshape(position.shape[1:])
-
-
-def _mixed(a: np.ndarray) -> np.ndarray:
-    """(K,) float32 in [0, 1), as if by chance, of the bits of vectors (3, K) float64."""
-    x, y, z = a.view(np.uint64)
-    bits = (x * np.uint64(0x9E3779B97F4A7C15) ^ y) * np.uint64(0xD6E8FEB86659FD93) ^ z
-    bits = (bits ^ bits >> np.uint64(32)) * np.uint64(0xD6E8FEB86659FD93)
-    return (bits >> np.uint64(40)).astype(np.float32) * np.float32(2.0**-24)
 
 
 def _rows(a: np.ndarray) -> np.ndarray:

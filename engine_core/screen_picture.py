@@ -15,9 +15,8 @@ from time import perf_counter
 import numpy as np
 
 from .image.film import LARGEST, Layer
-from .integration.allocation import evenly_spread, sample_counts
+from .integration.allocation import drawn, evenly_spread, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
-from .integration.control_variates import drawn
 from .integration.integrand import values_at
 from .integration.mapping import Map
 from .integration.point_sets import staged_points

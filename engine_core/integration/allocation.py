@@ -22,8 +22,11 @@ PLACE = 1 / 64
 STRIP = 64
 """Bins along the first dimension that are looked at together: with those around, what the cache holds."""
 
-_OCTAVE = 64
-"""Steps an octave in which the scale of a budget is sought."""
+PART = 1 << 16
+"""Bins whose samples are counted together."""
+
+_OCTAVE, _LEAST = 64, -100
+"""Steps an octave in which the scale of a budget is sought; binary logarithm of the least part of the mean."""
 
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 
@@ -72,47 +75,81 @@ def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray
 
 
 def sample_counts(
-    error: np.ndarray, samples: float, defensive: float, chance: float
+    error: np.ndarray, samples: float, defensive: float, chance: float, map_: Map = in_order
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residual samples of B bins: powers of two (B,) int64, and the chance (B,) to take them at all.
+    """Residual samples of B bins: powers of two (B,) int32, and the chance (B,) to take them at all.
 
     error : (B,) predicted deviation of a sample. samples : in all.
     defensive : share that is spread evenly. chance : the least there is, where not even one sample is due.
+    map_ : runs a function over items on workers.
     """
     if samples <= 0 or not len(error):
-        return np.zeros(len(error), np.int64), np.ones(len(error))
+        return np.zeros(len(error), np.int32), np.ones(len(error), np.float32)
     mean = float(error.mean(dtype=np.float64))
-    log_due = np.ones(len(error), np.float32)
-    if mean > 0:
-        np.multiply(error, (1 - defensive) / mean, out=log_due, casting="unsafe")
-        log_due += np.float32(defensive)
-    np.maximum(log_due, np.float32(1e-30), out=log_due)
-    np.log2(log_due, out=log_due)
-    log_due *= _OCTAVE
-    # Where errors are alike, all bins would round the same way, and the budget be spent badly.
-    log_due += _dither(len(error)) * np.float32(0.5 * _OCTAVE)
+    step = np.empty(len(error), np.int32)
+    counts, chances = np.empty(len(error), np.int32), np.empty(len(error), np.float32)
+    parts = [slice(low, low + PART) for low in range(0, len(error), PART)]
+
+    def find_steps(part: slice) -> np.ndarray:
+        """How many of a part have each step."""
+        log_due = np.ones(len(error[part]), np.float32)
+        if mean > 0:
+            np.multiply(error[part], (1 - defensive) / mean, out=log_due, casting="unsafe")
+            log_due += np.float32(defensive)
+        np.maximum(log_due, np.float32(2.0**_LEAST), out=log_due)
+        np.log2(log_due, out=log_due)
+        log_due -= np.float32(_LEAST - 1)
+        log_due *= _OCTAVE
+        # Where errors are alike, all bins would round the same way, and the budget be spent badly.
+        log_due += _dither(part.start, len(log_due)) * np.float32(0.5 * _OCTAVE)
+        step[part] = np.rint(log_due, out=log_due)
+        return np.bincount(step[part])
+
+    found = map_(find_steps, parts)
     # The scale that spends the budget, found on a histogram.
-    step = np.rint(log_due, out=log_due).astype(np.int32)
-    least = step.min()
-    step -= least
-    amount = np.bincount(step)
-    level = (np.arange(len(amount)) + least) / _OCTAVE
+    amount = np.zeros(max(map(len, found)), np.int64)
+    for of_part in found:
+        amount[: len(of_part)] += of_part
+    taken = np.flatnonzero(amount)
+    level, amount = taken / _OCTAVE + (_LEAST - 1), amount[taken]
 
     def spent(scale: float) -> float:
-        counts, chances = _rounded(level + scale, chance)
-        return float((amount * counts * chances).sum())
+        count, chance_ = _rounded(level + scale, chance)
+        return float((amount * count * chance_).sum())
 
     low, high = -64.0, 64.0
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if spent(middle) <= samples else (low, middle)
-    counts, chances = _rounded(level + low, chance)
-    return counts.take(step), chances.take(step)
+    of_level = [np.zeros(taken[-1] + 1, a.dtype) for a in (counts, chances)]
+    for of_all, of_taken in zip(of_level, _rounded(level + low, chance), strict=True):
+        of_all[taken] = of_taken
+
+    def look_up(part: slice) -> None:
+        for of_all, out in zip(of_level, (counts, chances), strict=True):
+            of_all.take(step[part], out=out[part], mode="clip")
+
+    map_(look_up, parts)
+    return counts, chances
 
 
-def _dither(count: int) -> np.ndarray:
-    """(count,) float32 in [-1/2, 1/2), a sequence of low discrepancy."""
-    place = np.arange(count, dtype=np.uint32)
+def drawn(chance: np.ndarray, seed: int, part: int = 0) -> np.ndarray:
+    """(B,) whether a bin is sampled: with its chance, and of their sum's bins to within one.
+
+    part : number of these bins' part of all, each of which is drawn by itself.
+    """
+    if (chance >= 1).all():
+        return np.ones(len(chance), bool)
+    # In single precision, little chances would be lost in the sum of a million.
+    running = np.cumsum(chance, dtype=np.float64)
+    running += np.random.default_rng([seed & 0xFFFFFFFF, 7, part]).random()
+    np.floor(running, out=running)
+    return np.diff(running, prepend=0) > 0
+
+
+def _dither(start: int, count: int) -> np.ndarray:
+    """(count,) float32 in [-1/2, 1/2), from number ``start`` of a sequence of low discrepancy."""
+    place = np.arange(start, start + count, dtype=np.uint32)
     place *= np.uint32(_GOLDEN * 2**32)
     place = place.astype(np.float32)
     place *= np.float32(2**-32)

@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from .allocation import sample_counts
+from .allocation import drawn, sample_counts
 from .build import NodeEvaluator, grow, root_edge
 from .control_variate import ControlVariate
 from .inner_rules import InnerRule, Net
@@ -206,11 +206,3 @@ def _pilot(problem: Problem, index: np.ndarray) -> np.ndarray:
     f = values_at(problem.integrand, stage, len(keys) * PILOT, None, rest)
     variance = f.reshape(len(f), len(keys), PILOT).var(axis=2, ddof=1).sum(axis=0)
     return np.sqrt((variance + variance.mean()) / 2)
-
-
-def drawn(chance: np.ndarray, seed: int) -> np.ndarray:
-    """(B,) whether a bin is sampled: with its chance, and of their sum's bins to within one."""
-    if (chance >= 1).all():
-        return np.ones(len(chance), bool)
-    running = np.cumsum(chance) + np.random.default_rng([seed & 0xFFFFFFFF, 7]).random()
-    return np.diff(np.floor(running), prepend=np.floor(running[0] - chance[0])) > 0

@@ -142,6 +142,20 @@ def test_coloured_extinction_is_exact_in_every_channel():
             assert found[channel, number] == pytest.approx(exact, rel=3e-5)
 
 
+def test_rays_keep_their_light_where_as_many_lanes_are_of_others():
+    # Two spots side by side: rays that see both bring as many lanes as there are rays, with those of none.
+    spots = [spot_at(LIGHT + [x, 0, 0], (x, 0, -3), power=4 * np.pi, angle=0.8) for x in (0, 0.1)]
+    scattering = fog(spots, [Volume(scattering=0.4)], meshes=[bounds((-3, -3, -5), (3, 3, 0.5))])
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand)
+    alone = np.concatenate([integrand.along(rays, np.array([k]))[0] for k in range(len(rays))], axis=1)
+    dark, bright = np.flatnonzero(alone[0] == 0), np.flatnonzero(alone[0] > 0.2 * alone[0].max())
+    many = min(len(dark), len(bright))
+    assert many >= 8
+    some = np.stack([dark[:many], bright[:many]], axis=1).ravel()
+    np.testing.assert_allclose(integrand.along(rays, some)[0], alone[:, some], rtol=1e-6)
+
+
 def test_a_spot_in_a_box_of_fog():
     spot = spot_at(LIGHT, (-0.5, 0, -3), power=4 * np.pi, angle=0.8, blend=0.4)
     scattering = fog([spot], [Volume(scattering=0.4)], meshes=[bounds((-3, -3, -5), (3, 3, 0.5))])

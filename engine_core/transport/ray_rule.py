@@ -173,7 +173,8 @@ class ScatteredAlongRay(Scattered):
                 lanes, self._nodes[kind], None if u is None else u.take(ray, axis=1)
             )
             whole = lanes.radiance(value)
-            if len(ray) == count and (len(segments) == count or (ray == np.arange(count)).all()):
+            # Of several lights and rays that see none, there may be as many.
+            if len(ray) == count and (ray == np.arange(count)).all():
                 radiance += whole
             else:
                 radiance += [np.bincount(ray, channel, count) for channel in whole]

@@ -72,6 +72,10 @@ class SeenPicture:
         map_(draw, range(y0, y1, ROWS))
         layer.control_variate[:] = layer.radiance
 
+    def brightness(self, rows: slice) -> np.ndarray:
+        """As of `ScreenPicture`."""
+        return self._layer.radiance[rows].sum(axis=2)
+
 
 @dataclass(eq=False)
 class _Term:
@@ -179,6 +183,10 @@ class AroundLightsPicture:
             layer.standard_error[at] = np.hypot(
                 layer.standard_error[at], (term.spread / term.count / 3)[:, None]
             )
+
+    def brightness(self, rows: slice) -> np.ndarray:
+        """As of `ScreenPicture`."""
+        return self._layer.radiance[rows].sum(axis=2)
 
     def show(self, map_: Map) -> None:
         """Sum all terms up, in one order. map_ : not used."""

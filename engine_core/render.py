@@ -58,8 +58,8 @@ Built = tuple[Refined | NetPicture | SeenPicture, float]
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
-DEPTH_ROWS = 16
-"""Of the picture, whose depth is looked for at once."""
+DEPTH_ROWS, ROWS = 16, 64
+"""Of the picture, whose depth is looked for at once, and whose brightness."""
 
 QUADRATURE_SHARE = 16
 """Samples that stand for one camera ray with a quadrature over the lights."""
@@ -335,9 +335,10 @@ class _Render:
             outcome, ended = self._drive(pool, picture.build, f"Building {part.name}")
             if not ended:
                 outcome.result()
-                if isinstance(picture, Refined):
-                    picture.show(_map_on(pool))
-                self._show_all()
+                if self._sink.watched:
+                    if isinstance(picture, Refined):
+                        picture.show(_map_on(pool))
+                    self._show_all()
             built.append((picture, time.perf_counter() - begin))
             if ended:
                 break
@@ -350,11 +351,15 @@ class _Render:
         # What is worth a sample depends on all that is shown.
         beside = None
         if parts and not ended and self._settings.integrator == "control_variates":
-            beside = *self._brightness(), None if surfaces is None else surfaces.deviation_a_sample
+            a_sample = None if surfaces is None else surfaces.deviation_a_sample
+            beside = *self._brightness(pool, parts), a_sample
         for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
-            if beside is not None and not ended and isinstance(picture, Refined):
-                ended = self._refine_part(pool, picture, part.name, *beside)
+            if isinstance(picture, Refined):
+                if beside is not None and not ended:
+                    ended = self._refine_part(pool, picture, part.name, *beside)
+                picture.show(_map_on(pool))
+                self._show_all()
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
             stages = picture.seconds | {"in all": seconds + time.perf_counter() - begin}
@@ -362,9 +367,15 @@ class _Render:
             self._counts.update(part.counts())
         return ended
 
-    def _brightness(self) -> tuple[np.ndarray, float]:
+    def _brightness(self, pool: Executor, parts: list[Built]) -> tuple[np.ndarray, float]:
         """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""
-        around = sum(layer.radiance[..., :3].sum(axis=2) for layer in self._film.layers[1:])
+        around = np.zeros(self._film.depth.shape, np.float32)
+
+        def add(low: int) -> None:
+            for picture, _ in parts:
+                around[low : low + ROWS] += picture.brightness(slice(low, low + ROWS))
+
+        _map_on(pool)(add, range(0, len(around), ROWS))
         bright = float(around.mean(dtype=np.float64))
         if self._integrand.shows and len(self._integrand.lights) <= FEW_LIGHTS:
             bright += float(np.square(np.sqrt(self._few_pixels().sum(axis=0)).mean()))
@@ -373,15 +384,13 @@ class _Render:
     def _refine_part(
         self, pool: Executor, picture: Refined, name: str, *beside: np.ndarray | float | None
     ) -> str | None:
-        """Sample what is built leaves, and show both. beside : as in `ScreenPicture.allocate`."""
+        """Sample what is built leaves. beside : as in `ScreenPicture.allocate`."""
         outcome, ended = self._drive(
             pool, lambda map_, _: picture.allocate(map_, *beside), f"Sampling {name}"
         )
         if not ended:
             outcome.result()
             ended = self._sample_part(pool, picture, name)
-        picture.show(_map_on(pool))
-        self._show_all()
         return ended
 
     def _sample_part(self, pool: Executor, picture: Refined, name: str) -> str | None:

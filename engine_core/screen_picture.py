@@ -139,6 +139,8 @@ class ScreenPicture:
         self._elsewhere, self._fresh, self._most_at_outlines = by.elsewhere, by.fresh, by.at_outlines
         self._split, self._alone_cost = by.split, max(1.0, by.split * by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
+        # The layer's own.
+        self._mean, self._residual, self._count = layer.control_variate, layer.residual, layer.sample_count
         self._cost = max(1.0, by.rays / SHADOW_RAYS)
         self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
@@ -189,8 +191,6 @@ class ScreenPicture:
     def _integrate(self, map_: Map) -> None:
         """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
         width, height = self._bins
-        # The layer's own.
-        self._mean, self._residual = self._layer.control_variate, self._layer.residual
         self._region = np.full((height, width), -1, np.int32)
         self._deviation = self._inside = np.zeros(0, np.float32)
         self._crossed = np.zeros(0, bool)
@@ -240,6 +240,7 @@ class ScreenPicture:
             grid = self._coefficients.take(chosen, axis=0).transpose(1, 0, 2).reshape(9, -1)
             # Not by ``@``, as `rules.weighted`.
             mean = np.einsum("pn,nr->pr", each[edge], grid)
+            np.clip(mean, -LARGEST, LARGEST, out=mean)
             self._mean.reshape(-1, CHANNELS)[at] = mean.reshape(*at.shape, CHANNELS)
             self._region.reshape(-1)[at] = chosen
 
@@ -253,10 +254,15 @@ class ScreenPicture:
         step = np.ptp(coefficients, axis=1).sum(axis=1)
         has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
         has_outline[-1] = False
-        beside = has_outline[self._region]
-        self._outline |= is_plain[self._region]
-        self._beside = beside & ~self._outline
-        self._outline |= self._beside
+
+        def classify(rows: slice) -> None:
+            region, outline = self._region[rows], self._outline[rows]
+            beside = has_outline.take(region, mode="wrap")
+            outline |= is_plain.take(region, mode="wrap")
+            self._beside[rows] = beside & ~outline
+            outline |= beside
+
+        map_(classify, self._rows())
         self._tree = None
 
     def _correct(self, map_: Map) -> None:
@@ -297,6 +303,7 @@ class ScreenPicture:
             b = found[:, channel] * weight[:, channel]
             solution = np.linalg.lstsq(a / scale, b, rcond=1e-6)[0] / scale
             self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
+        np.clip(self._mean, -LARGEST, LARGEST, out=self._mean)
         # h, from which samples are told apart, has none of it.
 
     def allocate(
@@ -325,66 +332,40 @@ class ScreenPicture:
         afforded = max(1.0, WORTH / settings.samples) * self._left
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
         at_outlines = 1 << int(np.log2(np.clip(due, 2, self._most_at_outlines if around.any() else 2)))
-        kinds = [(at_outlines, crossed), (AT_BESIDE, alone[beside])]
         self._prepare(at_outlines)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
         pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
-        self._count = np.zeros((height, width), np.int32)
-        self._count.reshape(-1)[pilot] = 1
-        for n, which in kinds:
-            self._count.reshape(-1)[which] = n
-        found = np.zeros(height * width)  # squares, which float32 would not hold of what is brightest
+        kinds = [(1, pilot), (at_outlines, crossed), (AT_BESIDE, alone[beside])]
 
-        def few(chunk: tuple[int, np.ndarray]) -> None:
+        def few(chunk: tuple[int, np.ndarray]) -> np.ndarray:
+            """(B,) squares, as float32 would not hold of what is brightest."""
             n, part = chunk
             y, x = np.divmod(part, width)
             residual = self._residuals(x, y, n)
-            self._residual[y, x] = residual.mean(axis=1)
+            self._residual[y, x] = _finite(residual.mean(axis=1))
+            self._count[y, x] = n
             if not self._is_served(y, x):
                 # H stays on show until samples are there.
                 self._mean[y, x] = 0
             # Of f itself, how much its samples differ tells what h would of f - h.
             if n > 1:
                 residual = (residual[:, ::2] - residual[:, 1::2]) / np.sqrt(2)
-            found[part] = np.square(np.abs(residual).sum(axis=2)).mean(axis=1)
+            return np.square(np.abs(residual).sum(axis=2)).mean(axis=1)
 
-        chunks = [(n, part) for n, which in (*kinds, (1, pilot)) for part in self._chunks(which, n)]
-        map_(few, chunks)
-        # Of each region, and of none.
-        of_region, inside = (np.append(a, np.float32(0)) for a in (self._deviation, self._inside))
-        said = of_region.take(self._region, mode="wrap")
-        of_shadow = _within(np.append(self._crossed, False).take(self._region, mode="wrap"), NEAR)
-        learned = Learned.of(found[pilot], pilot, said, float(self._mean.mean()) * CHANNELS)
-        deviation = np.empty((height, width), np.float32)
-
-        def expect(rows: slice) -> None:
-            """Deviations of some rows of pixels."""
-            # What a node says of its own noise is known: few samples would miss what is rare in it.
-            lit = np.maximum(self._mean[rows].sum(axis=2), 0)
-            own = np.square(inside.take(self._region[rows], mode="wrap"))
-            own += np.square(OUTLINE_OF_SHADOW * lit) * of_shadow[rows]
-            deviation[rows] = learned.deviation(said[rows], rows, own)
-
-        map_(expect, self._rows())
-        deviation.reshape(-1)[pilot] = learned.of_samples(
-            inside.take(self._region.reshape(-1)[pilot], mode="wrap")
-        )
-        deviation.reshape(-1)[plain] = 0
-        for _, which in kinds:
-            if which.size:
-                deviation.reshape(-1)[which] = Learned.of(
-                    found[which], which, np.ones_like(said), 0.0
-                ).of_samples()
+        chunks = [(n, part) for n, which in kinds for part in self._chunks(which, n)]
+        squares = np.concatenate([np.zeros(0), *map_(few, chunks)])
+        squares = np.split(squares, np.cumsum([len(which) for _, which in kinds[:-1]]))
+        deviation = self._expect([which for _, which in kinds], squares, map_)
+        wanted = deviation.copy()
         # Where a sample is cheaper, or brings more, more of them are worth it.
         weight = min(settings.samples**0.5, OUTLINE_WEIGHT) * np.sqrt(self._cost / self._alone_cost)
         budget = afforded
         of_alone = float(deviation.reshape(-1)[alone].sum(dtype=np.float64))
         of_served = float(deviation.sum(dtype=np.float64)) - of_alone
-        wanted = deviation.ravel()
         if of_served + of_alone < np.finfo(np.float32).tiny:
             # Black, as far as is seen: what is spread evenly in any case is all.
-            wanted, budget = np.ones_like(wanted), DEFENSIVE * self._left
+            wanted[:], budget = 1, DEFENSIVE * self._left
             of_served, of_alone = float(wanted.size - alone.size), float(alone.size)
         mean_cost = (of_served * self._cost + weight * of_alone * self._alone_cost) / max(
             of_served + weight * of_alone, 1e-300
@@ -394,29 +375,37 @@ class ScreenPicture:
             # Variance falls as the square of that: beyond this a sample on surfaces is worth more.
             as_there = (of_served + of_alone) / (of_surfaces * max(mean_cost, 1.0) ** 0.5)
             budget = min(budget, max(as_there, LEAST_OF_BUDGET * budget))
-        # In proportion to the deviation, specks of what is left to chance are of one height: that it is low
-        # is all that is asked for. In the dark lower ones are seen.
         lit = DARK * bright > np.finfo(np.float32).tiny
-        dim = bright / np.clip(around, DARK * bright, bright) if lit else 1.0
-        wanted = wanted * np.where(served, np.sqrt(dim), weight).ravel()
-        in_all = float(wanted.sum(dtype=np.float64))
+
+        def weigh(rows: slice) -> float:
+            # In proportion to the deviation, specks of what is left to chance are of one height: that it is
+            # low is all that is asked for. In the dark lower ones are seen.
+            dim = bright / np.clip(around[rows], DARK * bright, bright) if lit else np.float32(1)
+            factor = np.where(served[rows], np.sqrt(dim, dtype=np.float32), np.float32(weight))
+            wanted[rows] *= factor
+            return float(wanted[rows].sum(dtype=np.float64))
+
+        in_all = sum(map_(weigh, self._rows()))
         budget = max(1.0, min(budget, in_all * settings.samples / max(SPECK * bright, 1e-300)))
-        due, chance = sample_counts(wanted, budget, DEFENSIVE, CHANCE / dear)
-        chance = chance.reshape(height, width).astype(np.float32)
-        # What may have been missed is left to chance no more than what is known.
-        seen = self._mean.sum(axis=2)
-        seen.reshape(-1)[alone] = self._residual.reshape(-1, CHANNELS)[alone].sum(axis=1)
-        missed = _missed(~served, seen)
-        missed *= np.float32(budget / max(in_all, 1e-300))
-        np.fmin(missed, 1, out=missed)
-        np.maximum(chance, missed, out=chance)
-        for surely in (pilot, alone):
-            chance.reshape(-1)[surely] = 1
-        due[~drawn(chance.ravel(), settings.seed + 7)] = 0
-        due = np.minimum(due, MOST).astype(np.int32).reshape(height, width)
-        np.maximum(due, self._count, out=due)
-        if len(alone) < len(plain):
-            due.reshape(-1)[np.setdiff1d(plain, alone, True)] = 0
+        due, chance = sample_counts(wanted.ravel(), budget, DEFENSIVE, CHANCE / dear, map_)
+        due, chance = due.reshape(height, width), chance.reshape(height, width)
+
+        def draw(rows: slice) -> None:
+            # What may have been missed is left to chance no more than what is known.
+            wider = slice(max(0, rows.start - NEAR), rows.stop + NEAR)
+            seen = np.where(served[wider], _summed(self._mean[wider]), _summed(self._residual[wider]))
+            missed = _missed(~served[wider], seen)[rows.start - wider.start :][: rows.stop - rows.start]
+            missed *= np.float32(budget / max(in_all, 1e-300))
+            np.fmin(missed, 1, out=missed)
+            here, have = chance[rows], self._count[rows]
+            np.maximum(here, missed, out=here)
+            here[(have > 0) | ~served[rows]] = 1
+            taken = drawn(here.ravel(), settings.seed + 7, rows.start).reshape(here.shape)
+            due[rows] = np.maximum(np.minimum(due[rows], MOST) * taken, have)
+            if self._elsewhere is not None:
+                due[rows][self._elsewhere.T[rows] & ~served[rows]] = 0
+
+        map_(draw, self._rows())
         self._chance, self._due, self._deviation_learned = chance, due, deviation
         self._prepare(int(due.max()))
         more = np.flatnonzero(due > self._count)
@@ -428,6 +417,42 @@ class ScreenPicture:
             for part in self._chunks(more[(amount == n) & which], int(n))
         ]
         self.seconds["allocation"] = perf_counter() - began
+
+    def _expect(self, kinds: list[np.ndarray], squares: list[np.ndarray], map_: Map) -> np.ndarray:
+        """(H, W) deviation of a sample, by ``squares`` of the first ones, of pixels of these kinds: see
+        `allocate`. The first have an h.
+        """
+        # Of each region, and of none.
+        of_region, inside, crossed = (
+            np.append(a, np.zeros(1, a.dtype)) for a in (self._deviation, self._inside, self._crossed)
+        )
+        region, pilot = self._region, kinds[0]
+        said, deviation = np.empty((2, *region.shape), np.float32)
+
+        def look_up(rows: slice) -> None:
+            of_region.take(region[rows], mode="wrap", out=said[rows])
+
+        map_(look_up, self._rows())
+        learned = Learned.of(squares[0], pilot, said, float(self._mean.mean()) * CHANNELS)
+
+        def expect(rows: slice) -> None:
+            # What a node says of its own noise is known: few samples would miss what is rare in it.
+            own = np.square(inside.take(region[rows], mode="wrap"))
+            if crossed.any():
+                wider = slice(max(0, rows.start - NEAR), rows.stop + NEAR)
+                of_shadow = _within(crossed.take(region[wider], mode="wrap"), NEAR)
+                lit = np.maximum(_summed(self._mean[rows]), 0)
+                own += np.square(OUTLINE_OF_SHADOW * lit) * of_shadow[rows.start - wider.start :][: len(lit)]
+            deviation[rows] = learned.deviation(said[rows], rows, own)
+            deviation[rows] *= self._approximate[rows]
+
+        map_(expect, self._rows())
+        deviation.reshape(-1)[pilot] = learned.of_samples(inside.take(region.reshape(-1)[pilot], mode="wrap"))
+        said[:] = 1
+        for which, square in zip(kinds[1:], squares[1:], strict=True):
+            if which.size:
+                deviation.reshape(-1)[which] = Learned.of(square, which, said, 0.0).of_samples()
+        return deviation
 
     def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
         step = max(1, self._settings.batch_size // (n * PIECES))
@@ -447,7 +472,7 @@ class ScreenPicture:
         n, part = self._work[number]
         y, x = np.divmod(part, self._bins[0])
         mean = self._residuals(x, y, int(n)).mean(axis=1)
-        self._residual[y, x] = mean / self._chance[y, x][:, None]
+        self._residual[y, x] = _finite(mean / self._chance[y, x][:, None])
         self._count[y, x] = n
         done(int(n) * len(part))
 
@@ -489,17 +514,18 @@ class ScreenPicture:
             both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0)
         )
 
+    def brightness(self, rows: slice) -> np.ndarray:
+        """(h, W) radiance of some rows as it is built, channels summed."""
+        return _summed(self._mean[rows])
+
     def show(self, map_: Map) -> None:
         """Sum both terms of all pixels up."""
 
         def rows(some: slice) -> None:
-            h, residual = self._mean[some], self._residual[some]
-            for term in (h, residual):
-                np.clip(term, -LARGEST, LARGEST, out=term)
-            # By channels, as the picture may have one more.
-            for channel in range(CHANNELS):
-                radiance = h[..., channel] + residual[..., channel]
-                np.clip(radiance, -LARGEST, LARGEST, out=self._layer.radiance[some][..., channel])
+            # The picture may have one channel more.
+            radiance = self._layer.radiance[some][..., :CHANNELS]
+            np.add(self._mean[some], self._residual[some], out=radiance)
+            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
 
         map_(rows, self._rows())
 
@@ -510,7 +536,6 @@ class ScreenPicture:
 
     def finish(self) -> None:
         """What samples tell beside the radiance: their counts, and the error."""
-        self._layer.sample_count[:] = self._count
         if self._settings.standard_error:
             # A mean of n points of a net, that is taken by chance.
             error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
@@ -520,6 +545,15 @@ class ScreenPicture:
 def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(6, ...) monomials up to the second degree."""
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+
+def _finite(radiance: np.ndarray) -> np.ndarray:
+    return np.clip(radiance, -LARGEST, LARGEST)
+
+
+def _summed(a: np.ndarray) -> np.ndarray:
+    """(H, W) sums over the channels of a (H, W, 3)."""
+    return a[..., 0] + a[..., 1] + a[..., 2]
 
 
 class Learned:
@@ -538,7 +572,11 @@ class Learned:
         bright : the picture's mean radiance, channels summed.
         """
         width = said.shape[1]
-        floor = (FLOOR * bright) ** 2 + 1e-4 * float(np.square(said, dtype=np.float64).mean()) + 1e-300
+        floor = (
+            (FLOOR * bright) ** 2
+            + 1e-4 * float(np.einsum("yx,yx->", said, said, dtype=np.float64)) / said.size
+            + 1e-300
+        )
         own = np.square(said.reshape(-1)[rows], dtype=np.float64) + floor
         shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
         block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)

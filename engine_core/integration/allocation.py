@@ -26,7 +26,7 @@ PART = 1 << 16
 """Bins whose samples are counted together."""
 
 _OCTAVE, _LEAST = 64, -100
-"""Steps an octave in which the scale of a budget is sought; binary logarithm of the least part of the mean."""
+"""Steps an octave in which the scale of a budget is sought, and the binary logarithm of the least share."""
 
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 
@@ -66,12 +66,12 @@ def learned_deviation(
 
 def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray:
     """(*bins) bool: one bin in so many, as a lattice of two generators of low discrepancy has it."""
-    place = np.full(bins, seed % 1009 * _GOLDEN)
+    place = np.uint32(int(seed % 1009 * _GOLDEN * 2**32) % 2**32)
     for axis, n in enumerate(bins):
         step = _PLASTIC ** (axis + 1) if len(bins) > 1 else _GOLDEN
-        place += (np.arange(n) * step).reshape([-1 if a == axis else 1 for a in range(len(bins))])
-    place -= np.floor(place)
-    return place < 1 / one_in
+        along = np.arange(n, dtype=np.uint32) * np.uint32(step * 2**32)
+        place = place + along.reshape([-1 if a == axis else 1 for a in range(len(bins))])
+    return place <= np.uint32(2**32 / one_in - 1)
 
 
 def sample_counts(

@@ -18,7 +18,7 @@ from .integration.integrated import Integrated
 from .integration.mapping import Map
 from .scene import Scene
 from .settings import Settings
-from .transport.around_light import AroundLight, Block, blocks, lit_angles, peaks, tamed
+from .transport.around_light import AroundLight, Block, Wedge, blocks, lit_angles, peaks, tamed, wedges
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.laser_in_fog import LaserInFog
@@ -112,6 +112,7 @@ class OverScreen:
     fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
         ``sampled`` has no error in common.
     at_outlines : samples that pixels of no polynomial have at least, a power of two, or else 2.
+    wedges : parts of the picture that no region knows whose nodes all lie beside them.
     """
 
     at_nodes: StagedIntegrand
@@ -125,6 +126,7 @@ class OverScreen:
     fresh: StagedIntegrand | None = None
     at_outlines: int = AT_OUTLINES
     alone_rays: int = 1
+    wedges: tuple[Wedge, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +257,7 @@ def _of_fog(
     # Of many lights, blocks have the peaks alone.
     many = len(bare) > ALL
     every = rest if many else np.union1d(bare, rest)
+    beams = wedges(scattering.rays, scattering.lights, scattering.cones, bare)
     if settings.integrator == "control_variates" and scattering.screen_dimensions == 2:
         found, own, others = [], [], []
         if len(rest) <= MOST_SIZED:
@@ -265,11 +268,11 @@ def _of_fog(
                 [(one, len(lights)) for lights in group for one in integrands(lights)] for group in groups
             ]
         if many:
-            high, calm = peaks(scattering.rays, scattering.lights, scattering.cones, bare, region)
+            high, calm = peaks(scattering.rays, scattering.lights, beams, bare, region)
             own += [NextToLight(scattering, b.light, calm, check, NEXT_POINTS) for b in high]
             found, others = found + high, others + [[] for _ in high]
-        elif found:
-            calm = tamed(scattering.rays, scattering.lights, scattering.cones, found, region)
+        else:
+            calm = tamed(scattering.rays, scattering.lights, beams, found, region)
         if found:
             lit = [lit_angles(scattering.rays, scattering.lights, scattering.cones, b.light) for b in found]
             own = [AroundLight(one, b.centre, at) for one, b, at in zip(own, found, lit, strict=True)]
@@ -293,6 +296,7 @@ def _of_fog(
             and_beams,
             None if many else elsewhere,
             alone_rays=alone,
+            wedges=tuple(beams.values()),
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:

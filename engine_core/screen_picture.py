@@ -9,7 +9,7 @@ no sample at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -20,11 +20,12 @@ from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.integrand import values_at
 from .integration.mapping import Map
 from .integration.point_sets import staged_points
-from .integration.regions import BIN, RegionTree, neighbourly
+from .integration.regions import BIN, Regions, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange, weighted
 from .integration.standard_error import box_sums
 from .parts import SHADOW_RAYS, OverScreen, cell_of
 from .settings import Settings
+from .transport.around_light import Wedge
 from .transport.camera_hits import Pixels
 
 CHANNELS = 3
@@ -137,6 +138,7 @@ class ScreenPicture:
         self._at_nodes, self._rule = by.at_nodes, by.rule
         self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
         self._elsewhere, self._fresh, self._most_at_outlines = by.elsewhere, by.fresh, by.at_outlines
+        self._wedges = by.wedges
         self._split, self._alone_cost = by.split, max(1.0, by.split * by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own.
@@ -253,6 +255,7 @@ class ScreenPicture:
             has_outline[self._region[self._outline]] = True
         step = np.ptp(coefficients, axis=1).sum(axis=1)
         has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
+        has_outline[:-1] |= _hidden(leaves, self._wedges, self._corner)
         has_outline[-1] = False
 
         def classify(rows: slice) -> None:
@@ -545,6 +548,20 @@ class ScreenPicture:
 def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(6, ...) monomials up to the second degree."""
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+
+def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) -> np.ndarray:
+    """(R,) bool, regions that a wedge runs through between their nodes. corner : of the picture."""
+    hidden = np.zeros(len(regions), bool)
+    edge = np.ldexp(np.array([0, 0.5, 1]), regions.size[..., None].astype(np.int64) - BIN)
+    places = np.ldexp(regions.start.astype(np.float64), -BIN)[..., None] + edge  # (2, R, 3)
+    for wedge in wedges:
+        x, y = places + (corner - wedge.centre)[:, None, None]
+        first, second = (dx * y[:, None] - dy * x[:, :, None] for dx, dy in wedge.edges)
+        seen = (first >= 0) & (second <= 0)
+        aside = [((side * first > 0) & (side * second > 0)).any(axis=(1, 2)) for side in (1, -1)]
+        hidden |= aside[0] & aside[1] & ~seen.any(axis=(1, 2))
+    return hidden
 
 
 def _finite(radiance: np.ndarray) -> np.ndarray:

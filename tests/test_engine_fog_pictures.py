@@ -29,11 +29,12 @@ from engine_core.integration.integrated import Integrated
 from engine_core.part_pictures import _of_neighbours
 from engine_core.parts import parts_of
 from engine_core.shading.closures import Emission, Mix, Transparent
-from engine_core.transport.around_light import AROUND, Block, _lit_around, lit_angles, peaks, polar
+from engine_core.transport.around_light import Block, lit_angles, peaks, polar, tamed, wedges
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.ray_rule import ScatteredAlongRay
 from engine_core.transport.silhouettes import silhouettes
+from engine_core.transport.single_scattering import in_cone
 
 CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
 FOG = Volume(scattering=0.12, absorption=0.02, anisotropy=0.3)
@@ -58,6 +59,7 @@ LIT = {
     "in the picture": (PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE)),
     "spot": (SpotLight(500.0, light_to_world=downwards(), angle=0.6),),
     "beam in the picture": (SpotLight(500.0, light_to_world=place(INSIDE, (0.4, -1.3, 0)), angle=0.4),),
+    "narrow beam": (SpotLight(900.0, light_to_world=place((-2.5, 0.5, 3.5), (0.2, -0.7, 0)), angle=0.03),),
     "ball": (PointLight(300.0, position=OUTSIDE, radius=0.4),),
     "area": (AreaLight(300.0, light_to_world=downwards(), size=1.5),),
     "laser": (Laser(50.0, light_to_world=downwards((0.4, -0.6, 3.5)), radius=0.02),),
@@ -294,10 +296,16 @@ def test_directions_in_which_a_beam_is_lit(projection, seed):
     made = replace(scene(beam), camera=camera)
     around = parts_of(made, DirectLight(made), Settings(), lambda: None)[0].by
     scattering = around.own[0]._integrand._scattering
-    seen = _lit_around(scattering.rays, scattering.cones, 0, around.blocks[0].centre)
+    step, cones = 2 * np.pi / 256, scattering.cones
+    angle = (np.arange(256) + 0.5) * step
+    at = around.blocks[0].centre[:, None] + 6 * np.stack([np.cos(angle), np.sin(angle)])
+    origin, direction = scattering.rays.exactly(*at)
+    direction = direction / np.linalg.norm(direction, axis=0)
+    cone = (np.repeat(x[..., :1].astype(float), 256, axis=-1) for x in (cones.apex, cones.axis, cones.cos))
+    first, last = in_cone(*cone, origin, direction)
+    seen = last > np.maximum(first, 0)
     lit = lit_angles(scattering.rays, scattering.lights, scattering.cones, 0)
-    step = 2 * np.pi / AROUND
-    turned = np.remainder((np.arange(AROUND) + 0.5) * step - lit[0] + np.pi, 2 * np.pi) - np.pi
+    turned = np.remainder(angle - lit[0] + np.pi, 2 * np.pi) - np.pi
     assert not seen[(turned < lit[1]) | (turned > lit[2])].any()
     assert seen[(turned > lit[1] + step) & (turned < lit[2] - step)].all()
 
@@ -316,7 +324,8 @@ def test_all_pixels_where_a_light_is_tamed_are_about_it(projection, seed):
     made = replace(scene(*lights), camera=replace(CAMERA, projection=projection, viewplane=plane))
     around = parts_of(made, DirectLight(made), Settings(), lambda: None)[0].by
     scattering = around.own[0]._integrand._scattering
-    found, calm = peaks(scattering.rays, scattering.lights, scattering.cones, np.arange(2), CAMERA.region)
+    beams = wedges(scattering.rays, scattering.lights, scattering.cones, np.arange(2))
+    found, calm = peaks(scattering.rays, scattering.lights, beams, np.arange(2), CAMERA.region)
     x, y = (a.ravel().astype(np.int32) for a in np.indices((48, 32)))
     about = np.zeros((2, 48, 32), bool)
     for block in found:
@@ -329,6 +338,41 @@ def test_all_pixels_where_a_light_is_tamed_are_about_it(projection, seed):
         whole, tamed = (one.along(rays, None)[0].sum(axis=0).reshape(48, 32, 4) for one in alone)
         differs = np.abs(whole - tamed).max(axis=2) > 1e-6 * whole.mean()
         assert differs[at].any() and not differs[~at].any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_all_pixels_where_a_narrow_beam_is_tamed_are_known(projection, seed):
+    """Of a spot that is in the picture or not, in any direction."""
+    random = np.random.default_rng(seed)
+    turn, at = random.uniform(-np.pi, np.pi, 3), random.uniform((-5, -1, -1), (5, 2, 4))
+    beam = SpotLight(9.0, light_to_world=place(at, turn), angle=random.choice([0.003, 0.03, 0.2]))
+    half = (3, 2) if projection == "orthographic" else (0.6, 0.4)
+    plane = (-half[0], half[0], -half[1], half[1])
+    made = replace(scene(beam), camera=replace(CAMERA, projection=projection, viewplane=plane))
+    scattering = parts_of(made, DirectLight(made), Settings(), lambda: None)[-1].by.at_nodes._scattering
+    beams = wedges(scattering.rays, scattering.lights, scattering.cones, np.arange(1))
+    calm = tamed(scattering.rays, scattering.lights, beams, [], CAMERA.region)
+    x, y = (a.ravel().astype(np.int32) for a in np.indices((48, 32)))
+    u = random.random((2, len(x), 16)).astype(np.float32)
+    alone = [ScatteredAlongRay(scattering, tamed=t) for t in (None, calm)]
+    rays = alone[0].first(Pixels(x, y, np.zeros_like(x)), u)
+    whole, less = (one.along(rays, None)[0].sum(axis=0).reshape(48, 32, 16) for one in alone)
+    differs = np.abs(whole - less).max(axis=2) > 1e-6 * max(whole.mean(), 1e-30)
+    assert not differs[~calm.beams].any()
+    if calm.whole.any() and whole[calm.beams].any():
+        assert differs.any() and calm.beams.sum() < 0.7 * calm.beams.size
+
+
+def test_a_narrow_beam_has_no_specks():
+    """Nodes see nothing of it, but it is known where it is."""
+    made = scene(*LIT["narrow beam"])
+    made = replace(made, camera=Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 192, 128, 0.8, clip_start=0.1))
+    film = render(made, Settings(128))
+    for samples in (1, 4):
+        for seed in range(2):
+            ours = render(made, Settings(samples, seed=seed + 9))
+            assert np.abs(ours.volume - film.volume).max() < 0.15 * film.volume.max()
 
 
 def test_many_lights_in_fog_are_their_sum():

@@ -19,7 +19,6 @@ from .camera_hits import Pixels
 from .camera_rays import CameraRays
 from .light_choice_in_fog import AirLights
 from .light_samples import SceneLights
-from .single_scattering import in_cone
 
 HALF_WIDTH = 6
 """Of the block about a light's image, in pixels."""
@@ -33,14 +32,11 @@ CORE = 2
 NARROW = 16.0
 """Pixels across, below which a spot's beam is too narrow for nodes to be sure to see it."""
 
-FARTHEST = 64.0
-"""From a spot's image, in pixels, that its beam is called narrow at most."""
-
 MARGIN = 1e-5
 """Of a cone's sine, so that rounding leaves nothing of it out."""
 
-AROUND = 256
-"""Directions in the picture in which a spot's beam is looked for."""
+FARTHEST = 1e6
+"""Pixels from the camera's axis, where a light's image is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +94,8 @@ class Tamed:
 
     nearest, whole : (L,) distances of rays to lights, in the frame's units. Nodes take a ray to pass no
         nearer than the first, which pixels do that are not of a block; of a spot that begins as a narrow beam
-        they see nothing there, and all of it from the second on. Both are 0 of a light that is not in the
-        picture.
+        they see nothing there, and all of it from the second on. Both are 0 where there is no such thing in
+        the picture.
     beams : (W, H) bool, pixels of the beams from there to there.
     """
 
@@ -108,36 +104,97 @@ class Tamed:
     beams: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Wedge:
+    """What a spot's beam covers of the picture: half planes that end in the line from the camera through the
+    light are lines of it.
+
+    centre : (2,) the light's image, in pixels of the whole frame. lit : as `polar` wants it.
+    """
+
+    centre: np.ndarray
+    lit: tuple[float, float, float]
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(2, 2) unit directions, counter-clockwise."""
+        angle = self.lit[0] + np.array(self.lit[1:])
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    @property
+    def narrow(self) -> float:
+        """How far from the light's image, in pixels, nodes are not sure to see it."""
+        return NARROW / 2 / np.tan((self.lit[2] - self.lit[1]) / 2)
+
+    def pixels(self, far: float, region: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (B,) of a region that it touches up to so far from the image, and some next to it."""
+        x0, y0, x1, y1 = region
+        corners = np.array([(x, y) for x in (x0, x1) for y in (y0, y1)])
+        half = (self.lit[2] - self.lit[1]) / 2
+        length = min(far, np.hypot(*(corners - self.centre).T).max()) / np.cos(half) + 1
+        triangle = self.centre + np.concatenate([np.zeros((1, 2)), length * self.edges])
+        low, high = triangle[:, 1].min() - 1, triangle[:, 1].max() + 1
+        rows = np.arange(max(y0, int(np.floor(low))), min(y1, int(np.ceil(high)) + 1))
+        left, right = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+        bounds = np.stack([rows - 1, rows + 2])
+        for (ax, ay), (bx, by) in zip(triangle, np.roll(triangle, 1, axis=0), strict=True):
+            # Where an edge enters and leaves the band of rows, or ends in it.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = np.clip(np.nan_to_num((bounds - ay) / (by - ay)), 0, 1)
+            met = (min(ay, by) <= bounds[1]) & (max(ay, by) >= bounds[0])
+            x = np.where(met, ax + t * (bx - ax), np.nan)
+            left, right = np.fmin(left, np.fmin(*x)), np.fmax(right, np.fmax(*x))
+            if ay == by:
+                left = np.where(met, np.minimum(left, min(ax, bx)), left)
+                right = np.where(met, np.maximum(right, max(ax, bx)), right)
+        first = np.floor(np.clip(left - 1, x0, x1)).astype(np.int64)
+        count = np.maximum(np.ceil(np.clip(right + 1, x0, x1)).astype(np.int64) - first, 0)
+        x = np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count)
+        return x, np.repeat(rows, count)
+
+    def nearest(self, rays: CameraRays, lights: SceneLights, light: int, far: float) -> float:
+        """A distance that all of its rays farther from the light's image than so many pixels keep from it."""
+        angle = self.lit[0] + np.linspace(*self.lit[1:], 17)
+        place = self.centre[:, None] + far * np.stack([np.cos(angle), np.sin(angle)])
+        # The least may be between two of these places, but is no nearer than this.
+        return 0.999 * float(_distances(rays, lights, light, place).min())
+
+
+def wedges(rays: CameraRays, lights: SceneLights, cones: AirLights, numbers: np.ndarray) -> dict[int, Wedge]:
+    """Of those of lights ``numbers`` that are spots before the camera, whose beams cover a part of the
+    picture that is less than half pi wide.
+    """
+    found = {}
+    image, depth = rays.image_of(lights.centre[:, numbers])
+    seen = (depth > rays.clip_start) & np.isfinite(lights.reach[numbers]) & cones.coned[numbers]
+    for k, centre in zip(numbers[seen].tolist(), image[:, seen].T, strict=True):
+        if (np.abs(centre) < FARTHEST).all():
+            lit = lit_angles(rays, lights, cones, k)
+            if lit is not None and lit[2] - lit[1] < np.pi / 2:
+                found[k] = Wedge(centre, lit)
+    return found
+
+
 def tamed(
     rays: CameraRays,
     lights: SceneLights,
-    cones: AirLights,
+    beams: dict[int, Wedge],
     found: list[Block],
     region: tuple[int, int, int, int],
 ) -> Tamed:
-    """Of the lights of blocks ``found`` in a region (x0, y0, x1, y1). cones : of all lights."""
+    """Of the lights of blocks ``found`` in a region (x0, y0, x1, y1), and of spots' ``beams``."""
     x0, y0, x1, y1 = region
     nearest, whole = np.zeros((2, len(lights)))
-    beams = np.zeros((x1 - x0, y1 - y0), bool)
+    narrow = np.zeros((x1 - x0, y1 - y0), bool)
+    beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
     for block in found:
-        k, centre = block.light, block.centre
-        beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
-        nearest[k] = _distances(rays, lights, k, centre[:, None] + beside).min()
-        lit = _lit_around(rays, cones, k, centre)
-        wide = 2 * np.pi * lit.mean()
-        far = min(NARROW / 2 / np.tan(wide / 2), FARTHEST) if 0 < wide < np.pi / 2 else 0
-        if far <= HALF_WIDTH:
-            continue
-        whole[k] = _distances(rays, lights, k, centre[:, None] + beside * (far / HALF_WIDTH)).min()
-        low, high = (np.clip(np.rint(centre + way * far), (x0, y0), (x1, y1)).astype(int) for way in (-1, 1))
-        x, y = np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij")
-        apart = x + 0.5 - centre[0], y + 0.5 - centre[1]
-        radius, angle = np.hypot(*apart), np.arctan2(apart[1], apart[0])
-        # Within a pixel, as its middle does not speak for all of it.
-        turns = angle + np.array([-1, 0, 1])[:, None, None] / np.maximum(radius, 1)
-        inside = lit[np.floor(turns * (AROUND / (2 * np.pi))).astype(int) % AROUND].any(axis=0)
-        beams[low[0] - x0 : high[0] - x0, low[1] - y0 : high[1] - y0] |= inside & (radius < far)
-    return Tamed(nearest, whole, beams)
+        nearest[block.light] = _distances(rays, lights, block.light, block.centre[:, None] + beside).min()
+    for k, beam in beams.items():
+        x, y = beam.pixels(beam.narrow, region)
+        if beam.narrow > HALF_WIDTH and x.size:
+            whole[k] = beam.nearest(rays, lights, k, beam.narrow)
+            narrow[x - x0, y - y0] = True
+    return Tamed(nearest, whole, narrow)
 
 
 def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndarray) -> np.ndarray:
@@ -147,26 +204,6 @@ def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndar
     away = lights.centre[:, light, None] - origin
     away = away - direction * dot(away, direction)
     return np.sqrt(dot(away, away))
-
-
-def _lit_around(rays: CameraRays, cones: AirLights, light: int, centre: np.ndarray) -> np.ndarray:
-    """(AROUND,) bool, in which directions of the picture from its image a light's cone is seen.
-
-    Lines of the cone through its apex are lines of the picture: it is the same at any distance.
-    """
-    if not cones.coned[light]:
-        return np.ones(AROUND, bool)
-    angle = (np.arange(AROUND) + 0.5) * (2 * np.pi / AROUND)
-    origin, direction = rays.exactly(
-        *(centre[:, None] + HALF_WIDTH * np.stack([np.cos(angle), np.sin(angle)]))
-    )
-    direction = direction / np.sqrt(dot(direction, direction))
-    cone = (
-        np.repeat(x[..., light, None].astype(np.float64), AROUND, axis=-1)
-        for x in (cones.apex, cones.axis, cones.cos)
-    )
-    first, last = in_cone(*cone, origin, direction)
-    return last > np.maximum(first, 0)
 
 
 def lit_angles(
@@ -200,36 +237,35 @@ def lit_angles(
 def peaks(
     rays: CameraRays,
     lights: SceneLights,
-    cones: AirLights,
+    beams: dict[int, Wedge],
     numbers: np.ndarray,
     region: tuple[int, int, int, int],
 ) -> tuple[list[Block], Tamed]:
     """Of lights ``numbers``, without size: tamed ones, and blocks that have all pixels of a region
-    (x0, y0, x1, y1) that see more of the lights themselves. cones : of all lights.
+    (x0, y0, x1, y1) that see more of the lights themselves. beams : of spots among them.
 
     Unlike `blocks`, these overlap: what the pixels have of all other lights is no business of theirs.
     """
     found = []
     nearest, whole = np.zeros((2, len(lights)))
     image, depth = rays.image_of(lights.centre[:, numbers])
-    seen = (depth > rays.clip_start) & (np.abs(image) < 1e9).all(axis=0) & np.isfinite(lights.reach[numbers])
-    for k, centre in zip(numbers[seen], image[:, seen].T, strict=True):
-        if not _square(centre, HALF_WIDTH, region)[0].size:
+    seen = (depth > rays.clip_start) & (np.abs(image) < FARTHEST).all(axis=0)
+    seen &= np.isfinite(lights.reach[numbers])
+    for k, centre in zip(numbers[seen].tolist(), image[:, seen].T, strict=True):
+        beam = beams.get(k)
+        far = HALF_WIDTH if beam is None else max(beam.narrow, HALF_WIDTH)
+        x, y = _square(centre, HALF_WIDTH, region) if beam is None else beam.pixels(far, region)
+        if not x.size:
             continue
-        nearest[k], far = _outside(rays, lights, k, centre, HALF_WIDTH), HALF_WIDTH
-        lit = lit_angles(rays, lights, cones, k)
-        if lit is not None and (wide := lit[2] - lit[1]) < np.pi / 2:
-            far = max(far, min(NARROW / 2 / np.tan(wide / 2), FARTHEST))
+        nearest[k] = _outside(rays, lights, k, centre, HALF_WIDTH)
         if far > HALF_WIDTH:
-            whole[k] = _outside(rays, lights, k, centre, far)
-        x, y = _square(centre, far, region)
-        _, weight = polar(x - centre[0], y - centre[1], np.full((2, len(x), 1), 0.5), lit)
-        rows = np.flatnonzero(weight)
+            whole[k] = beam.nearest(rays, lights, k, far)
+        u, lit = np.full((2, len(x), 1), 0.5), None if beam is None else beam.lit
+        rows = np.flatnonzero(polar(x - centre[0], y - centre[1], u, lit)[1])
         x, y = x.take(rows), y.take(rows)
         core = np.hypot(x + 0.5 - centre[0], y + 0.5 - centre[1]) < CORE + 0.5
-        found.append(Block(int(k), numbers[:0], centre, x, y, core))
-    beams = np.zeros((region[2] - region[0], region[3] - region[1]), bool)
-    return found, Tamed(nearest, whole, beams)
+        found.append(Block(k, numbers[:0], centre, x, y, core))
+    return found, Tamed(nearest, whole, np.zeros((region[2] - region[0], region[3] - region[1]), bool))
 
 
 def _square(

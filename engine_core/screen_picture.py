@@ -31,8 +31,8 @@ from .transport.camera_hits import Pixels
 CHANNELS = 3
 
 SHARE, SHARE_OF_RAYS = 1 / 3, 1 / 2
-"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more.
-Samples have what the first leaves."""
+"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more, and
+of few samples up to twice as much. Samples have what the first leaves."""
 
 FEWEST = 4096
 """Nodes and samples of a picture, however small."""
@@ -166,7 +166,8 @@ class ScreenPicture:
         )
         # Evaluations to a sample of the budget: a rule's rays count one by one.
         worth = evaluator.cost / self._cost if self._rule is None else SHADOW_RAYS
-        budget = total * worth * (1.0 if alone else SHARE if self._rule is None else SHARE_OF_RAYS)
+        share = SHARE if self._rule is None else SHARE_OF_RAYS * (1 + 1 / settings.samples)
+        budget = total * worth * (1.0 if alone else share)
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
         # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of
         # regions than regions; but what is sampled there is f.

@@ -31,8 +31,8 @@ from .transport.camera_hits import Pixels
 CHANNELS = 3
 
 SHARE, SHARE_OF_RAYS = 1 / 3, 1 / 2
-"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more, and
-of few samples up to twice as much. Samples have what the first leaves."""
+"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more,
+and of few samples up to twice as much. Samples have what the first leaves."""
 
 FEWEST = 4096
 """Nodes and samples of a picture, however small."""

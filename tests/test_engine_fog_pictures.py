@@ -15,6 +15,7 @@ from engine_core import (
     Camera,
     Laser,
     Material,
+    Mesh,
     PointLight,
     Scene,
     Settings,
@@ -421,6 +422,28 @@ def test_silhouettes_are_where_depth_jumps():
     grazing = np.indices((48, 32))[1] > 20  # the floor's horizon
     assert found[jump & ~grazing].mean() > 0.9
     assert found[~jump].mean() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_silhouettes_are_followed_between_the_corners_of_pixels(seed):
+    """To the tips of needles, which are thinner than a pixel at their ends."""
+    random = np.random.default_rng(seed)
+    low = np.stack([np.linspace(-2, 2, 12), np.full(12, -2.0), np.full(12, 0.1)], axis=1)
+    tips = low + random.uniform((-0.5, -0.5, 0.8), (0.5, 0.5, 2.0), (12, 3))
+    corners = np.stack([low - (0.1, 0, 0), low + (0.1, 0, 0), tips], axis=1).reshape(-1, 3)
+    needles = Mesh(corners, np.arange(36).reshape(-1, 3))
+    made = scene(PointLight(1.0, position=OUTSIDE))
+    made = DirectLight(replace(made, meshes=(needles,), materials=(Material(0.0),)))
+    rays, surfaces = made.stage.rays, made.surfaces
+    found = silhouettes(rays, surfaces, CAMERA.region, lambda f, items: [f(i) for i in items])
+    x, y = (a.ravel() for a in np.indices((48, 32)))
+    # Of pixels that a needle covers a sixteenth of, all but the odd one.
+    u = (np.stack(np.meshgrid(np.arange(16), np.arange(16))).reshape(2, 1, -1) + 0.5) / 16
+    u = np.repeat(u, len(x), axis=1).astype(np.float32)
+    hit = surfaces.distance(*rays.rays(x, y, u), rays.reach).reshape(48, 32, -1) < 100
+    partly = (hit.mean(axis=2) > 1 / 16) & ~hit.all(axis=2)
+    assert partly.sum() > 100 and found[partly].mean() > 0.98
+    assert found[~hit.any(axis=2)].mean() < 0.1
 
 
 class Wave:

@@ -7,6 +7,8 @@ outline they are not. What a camera ray brings through fog jumps there, and no p
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..geometry.surfaces import Surfaces
@@ -18,6 +20,12 @@ BEND = 0.03
 
 ROWS = 32
 """Of the picture, traced at once."""
+
+BETWEEN = np.array([0.25, 0.5, 0.75], np.float32)
+"""Places between the corners of a pixel beside an outline, where more of it may pass."""
+
+ROUNDS = 8
+"""Pixels that an outline is followed between corners."""
 
 
 def silhouettes(
@@ -31,18 +39,23 @@ def silhouettes(
     map_ : runs a function over items on the workers, and returns the results in order.
     """
     x0, y0, x1, y1 = region
+
+    def look(column: np.ndarray, row: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """1 / distance at places (2, N, S) of pixels' unit squares."""
+        u = np.full((rays.dimensions, *place.shape[1:]), 0.5, np.float32)  # the lens' middle
+        u[:2] = place
+        origins, directions = rays.rays(column, row, u)
+        distance = surfaces.distance(origins, directions, rays.reach)
+        with np.errstate(divide="ignore"):
+            return (1 / (distance + np.float32(rays.clip_start))).reshape(place.shape[1:])
+
     # Corners, and one more beyond each side for the differences.
     x = np.arange(x0 - 1, x1 + 2)
 
     def trace(low: int) -> np.ndarray:
         y = np.arange(low, min(low + ROWS, y1 + 2))
         column, row = (a.ravel() for a in np.meshgrid(x, y))
-        corner = np.zeros((rays.dimensions, len(column), 1), np.float32)
-        corner[2:] = 0.5  # the lens' middle
-        origins, directions = rays.rays(column, row, corner)
-        distance = surfaces.distance(origins, directions, rays.reach)
-        with np.errstate(divide="ignore"):
-            return (1 / (distance + np.float32(rays.clip_start))).reshape(len(y), len(x)).T
+        return look(column, row, np.zeros((2, len(column), 1), np.float32)).reshape(len(y), len(x)).T
 
     inverse = np.concatenate(map_(trace, range(y0 - 1, y1 + 2, ROWS)), axis=1)
     found = np.zeros((x1 - x0, y1 - y0), bool)
@@ -58,7 +71,45 @@ def silhouettes(
         first, last = [slice(None)] * 2, [slice(None)] * 2
         first[1 - axis], last[1 - axis] = slice(None, -1), slice(1, None)
         found |= crossed[tuple(first)] | crossed[tuple(last)]
+    fresh = found
+    for _ in range(ROUNDS):
+        before = found.copy()
+        for axis in range(2):
+            _follow(found, fresh, inverse, axis, region[:2], look)
+        fresh = found & ~before
+        if not fresh.any():
+            break
     return found
+
+
+def _follow(
+    found: np.ndarray,
+    fresh: np.ndarray,
+    inverse: np.ndarray,
+    axis: int,
+    corner: tuple[int, int],
+    look: Callable,
+) -> None:
+    """Mark pixels that an outline enters, from ``fresh`` ones next to them along an axis, and leaves again.
+
+    inverse : 1 / distance at corners, from the one before the first on. look : the same between them.
+    """
+    halves = slice(None, -1), slice(1, None)
+    low, high = (np.moveaxis(found, axis, 0)[part] for part in halves)
+    from_low, from_high = (np.moveaxis(fresh, axis, 0)[part] for part in halves)
+    at = np.stack(np.nonzero((from_low & ~high) | (from_high & ~low)))
+    at[0] += 1  # the pixel on the far side
+    x, y = at[::-1] if axis else at
+    along = (1, 0) if axis else (0, 1)
+    first, last = inverse[x + 1, y + 1], inverse[x + 1 + along[0], y + 1 + along[1]]
+    place = np.zeros((2, len(x), len(BETWEEN)), np.float32)
+    place[1 - axis] = BETWEEN
+    there = look((x + corner[0]).astype(np.int32), (y + corner[1]).astype(np.int32), place)
+    straight = first[:, None] + BETWEEN * (last - first)[:, None]
+    most = np.maximum(np.maximum(first, last)[:, None], there)
+    crossed = (np.abs(there - straight) > BEND * most).any(axis=1)
+    at = at[:, crossed]
+    low[at[0] - 1, at[1]] = high[at[0] - 1, at[1]] = True
 
 
 class Silhouettes:

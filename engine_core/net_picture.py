@@ -61,14 +61,15 @@ DIFFERENT = 1.0
 NEXT = 0.25
 """Of a cell's chances, what the cells around get at least: where an edge is, others are not far."""
 
+MISSED = 0.5
+"""Of a cell's mean chance, what all of its points get at least: where many see an edge, others have one
+between the corners."""
+
 ROUGH = 0.4
 """Mean chance of a cell in whose pixels all points are asked for, at several places."""
 
 PLACES = 8
 """In these pixels, a power of two."""
-
-BESIDE_OUTLINES = 8
-"""Camera rays of a pixel that no outline crosses, but its cell, for as many points as its tile has."""
 
 FRESH = 2
 """The net's points over those of a corner's own net."""
@@ -110,45 +111,50 @@ class NetPicture:
         self.regions, self.nodes = rows * columns, self._corners[0] * self._corners[1]
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> None:
-        """Draw all of it. map_ : runs a function over items on the workers. enough : not asked."""
+        """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
+        the nets that there are.
+        """
         nobody = np.zeros((self._height, self._width), bool)
         elsewhere = nobody if self._by.elsewhere is None else self._by.elsewhere.T
         # Nothing is between corners on either side of an outline.
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
-        beside = _whole_cells(outline)
-        self._served = ~(beside | elsewhere)
+        self._beside = _whole_cells(outline)
+        self._served = ~(outline | elsewhere)
         self._counts = self._allocated(map_)
         self._levels = np.unique(self._counts).tolist()
         work = [
             (row, count) for row in range(self._tiles[0]) for count in np.unique(self._counts[row]).tolist()
         ]
-        count_of = self._of_pixels(self._counts)
         for number in range(self._rounds):
             self._prepare(number)
             # In their order: what tiles share may differ in its last bits.
             for row, column, means in map_(self._strip, work):
                 for count, values in means.items():
                     self._means[count][:, row[:, None], column] = values
-            if self._alone:
-                continue
-            map_(self._correct, self._levels)
-            for count in self._levels:
-                of_tile = ~elsewhere & (count_of == count)
-                # One point of each camera ray, where these differ most: all dimensions are one net then.
-                for which, cameras, split in (
-                    (outline, self._by.at_outlines * count, 1),
-                    (beside & ~outline, BESIDE_OUTLINES, max(1, count // BESIDE_OUTLINES)),
-                ):
-                    index = np.flatnonzero(which & of_tile)
-                    step = max(1, 4 * BATCH // (cameras * split))
-                    parts = [index[low : low + step] for low in range(0, len(index), step)]
-                    map_(self._sample, [(part, cameras, split) for part in parts])
+            if not self._alone:
+                self._finish_round(map_, outline, elsewhere)
+            done = number + 1
+            if enough():
+                break
         layer = self._layer
         for term in (layer.radiance, layer.control_variate, layer.residual):
+            term /= done
             np.clip(term, -LARGEST, LARGEST, out=term)
         # Of all nets together; until here, the squares' sum.
         np.sqrt(layer.standard_error, out=layer.standard_error)
-        layer.standard_error /= self._rounds
+        layer.standard_error /= done
+
+    def _finish_round(self, map_: Map, outline: np.ndarray, elsewhere: np.ndarray) -> None:
+        """Correct what the net has in common, and sample pixels (H, W) bool that an ``outline`` crosses."""
+        map_(self._correct, self._levels)
+        count_of = self._of_pixels(self._counts)
+        for count in self._levels:
+            of_tile = ~elsewhere & (count_of == count)
+            # One point of each camera ray, where these differ most: all dimensions are one net then.
+            index, cameras = np.flatnonzero(outline & of_tile), self._by.at_outlines * count
+            step = max(1, 4 * BATCH // cameras)
+            parts = [index[low : low + step] for low in range(0, len(index), step)]
+            map_(self._sample, [(part, cameras) for part in parts])
 
     def _prepare(self, number: int) -> None:
         """Nets of one round."""
@@ -163,9 +169,8 @@ class NetPicture:
         self._fresh.prepare(max(TOGETHER, most // FRESH))
         self._places, self._draws = SobolPoints(range(2), seed, 104), RandomPoints(1, seed, 105)
         self._places.prepare(PLACES)
-        # One point of each camera ray, and several.
-        self._plain = {one: staged_points("sobol", 2, dimensions, 2 - one, seed + 1) for one in (True, False)}
-        for group in (*self._plain[True], *self._plain[False]):
+        self._plain = staged_points("sobol", 2, dimensions, 1, seed + 1)
+        for group in self._plain:
             group.prepare(self._by.at_outlines * most)
         # At corners, the means of the first points of the net, as many as tiles have, where they are known.
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
@@ -217,21 +222,20 @@ class NetPicture:
         x, y = (x + self._region[0]).astype(np.int32), (y + self._region[1]).astype(np.int32)
         return Pixels(x, y, cell_of(x, y, self._region))
 
-    def _sample(self, work: tuple[np.ndarray, int, int]) -> None:
-        """f itself in some pixels (B,), by so many camera rays each, and points of each of these."""
+    def _sample(self, work: tuple[np.ndarray, int]) -> None:
+        """f itself in some pixels (B,), by so many camera rays each."""
         self._check()
-        index, cameras, split = work
+        index, cameras = work
         layer = self._layer
         y, x = np.divmod(index, self._width)
         pixels = self._pixels(x, y)
-        points = self._plain[split == 1]
-        sums = sum_samples(self._integrand, pixels, pixels.key(), points, 0, cameras, split, BATCH)
-        value = sums.values[:3].T / (cameras * self._rounds)
+        sums = sum_samples(self._integrand, pixels, pixels.key(), self._plain, 0, cameras, 1, BATCH)
+        value = sums.values[:3].T / cameras
         layer.radiance[y, x] += value
         layer.residual[y, x] += value
         layer.sample_count[y, x] += cameras
         # As if half of all points were dark.
-        error = np.square(value.mean(axis=1) * self._rounds) / (cameras * split) ** 1.5
+        error = np.square(value.mean(axis=1)) / cameras**1.5
         layer.standard_error[y, x] += error[:, None]
 
     def _strip(self, work: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, dict[int, np.ndarray]]:
@@ -257,8 +261,9 @@ class NetPicture:
         across[column] = np.arange(len(column))
         j, i = y // CELL - row[0], across.take(x // CELL)
         if not self._alone:
-            # Where most must be asked, different places in a pixel might have to be, too.
-            rough = (chance.mean(axis=2) > ROUGH * SURE)[j, i]
+            # Where most must be asked, different places in a pixel might have to be, too. And nothing is
+            # between corners on either side of an outline.
+            rough = (chance.mean(axis=2) > ROUGH * SURE)[j, i] | self._beside[y, x]
             self._add_rough(x[rough], y[rough], spread[j[rough], i[rough]], count)
             y, x, j, i = y[~rough], x[~rough], j[~rough], i[~rough]
         inner, size = self._in_cells(x, y)
@@ -279,10 +284,10 @@ class NetPicture:
                 variance[part] += found[3]
         layer = self._layer
         at = y * self._width + x
-        _add(layer.control_variate, at, h.T / self._rounds)
-        _add(layer.residual, at, residual.T / self._rounds)
+        _add(layer.control_variate, at, h.T)
+        _add(layer.residual, at, residual.T)
         h += residual
-        _add(layer.radiance, at, h.T / self._rounds)
+        _add(layer.radiance, at, h.T)
         _add(layer.standard_error, at, variance[:, None])
         if not self._alone:
             layer.sample_count[y, x] += 1
@@ -301,7 +306,7 @@ class NetPicture:
             stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, PLACES))
             # Consecutive points are nets of their own.
             f = values_at(self._integrand, stage, n * PLACES, None, np.tile(net, n))[:3]
-            value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T / self._rounds
+            value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T
             at, layer = (y[part], x[part]), self._layer
             layer.radiance[at] += value
             layer.residual[at] += value
@@ -418,7 +423,7 @@ class NetPicture:
             _sum_around(_sum_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
         )
         off, weight = sums
-        off /= np.maximum(weight, 1e-9) * self._rounds
+        off /= np.maximum(weight, 1e-9)
         y, x = np.nonzero(self._served & (self._of_pixels(self._counts) == count))
         row, column = y // CELL, x // CELL
         inner, size = self._in_cells(x, y)
@@ -450,6 +455,7 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # What is smooth differs less from what is believed than its corners do.
     chance *= chance
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
+    np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
     chance *= SURE
     np.ceil(chance, out=chance)
     return np.clip(chance, LEAST, SURE).astype(np.uint16), middle.var(axis=2, dtype=np.float64) / 9
@@ -544,7 +550,8 @@ def _shared(wanted: np.ndarray, mean: int, fewest: int) -> np.ndarray:
     about ``mean``, ``fewest`` at least.
     """
     if not wanted.any():
-        return np.full(wanted.shape, mean)
+        # Black, as far as is seen.
+        return np.full(wanted.shape, min(mean, fewest))
     least = max(-MOST_OFTEN, int(np.log2(fewest / mean))) if mean > fewest else 0
     with np.errstate(divide="ignore"):
         level = np.log2(wanted / wanted.mean())

@@ -14,13 +14,13 @@ import numpy as np
 from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
-from .integration.integrated import Integrated
 from .integration.mapping import Map
 from .scene import Scene
 from .settings import Settings
 from .transport.around_light import AroundLight, Block, Wedge, blocks, lit_angles, peaks, tamed, wedges
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
+from .transport.guide_in_fog import Guide
 from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
@@ -64,8 +64,8 @@ RAYS_OF_MANY = 20, 12, 9
 """Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
 each."""
 
-SPLIT = 4
-"""Points of the rest for each camera ray, where outlines are sampled."""
+LIGHT_POINTS = 16
+"""Of the net of lights with a size, in fog, in a picture of one sample."""
 
 FOG_POINTS, SURFACE_POINTS = 32, 16
 """Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
@@ -73,15 +73,11 @@ FOG_POINTS, SURFACE_POINTS = 32, 16
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
 
-FRESH_POINTS = 64
-"""Of the nets that find out how far off that one is."""
-
 SEEN_POINTS = 64, 2048
 """Of each pixel that sees a beam, and of each that sees where one ends."""
 
-POINTS, FEW_POINTS = 64, 16
-"""Of the net that integrates what is left at nodes and samples, of a picture of few samples; at least, where
-that is the sum of many."""
+FEW_POINTS = 16
+"""Of the net of several lasers, whose light is their sum, at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,19 +210,6 @@ def parts_of(
     return parts
 
 
-def _by_net(
-    integrand: StagedIntegrand,
-    settings: Settings,
-    outlines: Callable[[Region, Map], np.ndarray],
-    elsewhere: np.ndarray | None,
-) -> OverScreen:
-    # The net's own error falls as 1 / points, and should stay below that of all else.
-    points = 1 << int(np.clip(np.log2(settings.samples) / 2 + 4, np.log2(POINTS), 10))
-    inside = Integrated(integrand, points, settings.seed)
-    fresh = Integrated(integrand, FRESH_POINTS, settings.seed, fixed=False)
-    return OverScreen(inside, None, inside, points, integrand, SPLIT, outlines, elsewhere, fresh)
-
-
 def _of_fog(
     scattering: SingleScattering,
     region: Region,
@@ -301,8 +284,17 @@ def _of_fog(
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
-        light = ScatteredLight(scattering, rest, choice, check)
-        by = _by_net(light, settings, outlines, elsewhere)
+        guide, each = None, []
+        by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
+        if choice is None and by_net:
+            each = [ScatteredLight(scattering, np.array([one]), None, check) for one in rest]
+            guide = Guide.of(each, partial(_pixels, region), region, settings.seed)
+        light = ScatteredLight(scattering, rest, choice, check, guide)
+        for one in each:
+            light.counts.update(one.counts)
+        # So that errors are least that fall as 1 / samples.
+        points = 1 << int(np.log2(LIGHT_POINTS) + np.log2(settings.samples) * 2 / 3)
+        by = OverNet(light, points, outlines, elsewhere)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 
@@ -385,3 +377,9 @@ def cell_of(x: np.ndarray, y: np.ndarray, region: Region) -> np.ndarray:
     x0, y0, x1, _ = region
     columns = (x1 - 1) // CELL - x0 // CELL + 1
     return ((y // CELL - y0 // CELL) * columns + (x // CELL - x0 // CELL)).astype(np.int32)
+
+
+def _pixels(region: Region, x: np.ndarray, y: np.ndarray) -> Pixels:
+    """Pixels (B,) of the whole frame in columns and rows of integers."""
+    x, y = x.astype(np.int32), y.astype(np.int32)
+    return Pixels(x, y, cell_of(x, y, region))

@@ -166,7 +166,8 @@ def test_what_a_scene_lacks_is_never_entered():
     for made in (scene(SunLight(3.0, angle=0.1)), scene()):
         assert parts_of(made, DirectLight(made), Settings(), lambda: None) == []
     told = render(scene(*LIT["ball"]), Settings(4)).statistics
-    assert "no surface reflects" in told["control variate"] and told["fog lit by lights"] == "built"
+    assert "no surface reflects" in told["control variate"]
+    assert told["fog lit by lights"].startswith("about 32 points")
 
 
 @pytest.mark.parametrize(
@@ -233,7 +234,7 @@ def test_black_fog_is_known_to_be_black_and_costs_little():
     lit, dark = (render(picture, Settings(1, standard_error=True)) for picture in pictures)
     assert not dark.combined[..., :3].any() and not dark.standard_error.any()
     assert dark.layers[1].sample_count.any()
-    assert dark.layers[1].sample_count.sum() < 0.5 * lit.layers[1].sample_count.sum()
+    assert dark.statistics["shadow rays"] < 0.5 * lit.statistics["shadow rays"]
 
 
 def test_threads_and_runs_change_nothing():

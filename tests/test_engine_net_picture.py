@@ -59,7 +59,9 @@ class Broken:
         return (1 + 0.5 * y / HEIGHT)[:, None] * edge + 3 * (stripe * seen).mean(axis=1)
 
 
-def picture(seed: int, samples: int = 32, integrator: str = "control_variates", map_=None) -> Layer:
+def picture(
+    seed: int, samples: int = 32, integrator: str = "control_variates", map_=None, enough: bool = False
+) -> Layer:
     layer = Layer.empty(LASER, WIDTH, HEIGHT)
 
     def outlines(region: tuple[int, int, int, int], _: Any) -> np.ndarray:
@@ -70,7 +72,7 @@ def picture(seed: int, samples: int = 32, integrator: str = "control_variates", 
     by = OverNet(Broken(), samples, outlines)
     settings = Settings(1, seed=seed, integrator=integrator)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
-    made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: False)
+    made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough)
     return layer
 
 
@@ -92,6 +94,14 @@ def test_the_mean_over_seeds_is_the_truth(rounds, tile, monkeypatch):
     assert np.median(seeds[..., :7, 0].std(axis=0)) < 0.05
 
 
+def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):
+    monkeypatch.setattr(module, "MOST_POINTS", 32)
+    one = picture(3)
+    stopped = picture(3, samples=128, enough=True)
+    for name in ("radiance", "control_variate", "residual", "standard_error", "sample_count"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(stopped, name))
+
+
 def test_points_go_where_values_differ():
     random = np.random.default_rng(3)
     net = (np.stack(np.divmod(np.arange(64), 8)) + random.random((2, 64)))[:, None] / 8
@@ -106,7 +116,7 @@ def test_points_go_where_values_differ():
     assert set(np.unique(shared)) <= {16, 32, 64, 128, 256}
     assert abs(shared.mean() - 64) < 3
     assert np.corrcoef(shared.ravel(), wanted.ravel())[0, 1] > 0.9
-    assert (module._shared(np.zeros((2, 2)), 64, 8) == 64).all()
+    assert (module._shared(np.zeros((2, 2)), 64, 8) == 8).all()
     assert module._shared(wanted, 8, 8).min() == 8
 
 

@@ -39,6 +39,7 @@ from .distance_maps import (
     within_depth,
 )
 from .emitters import PointEmitters, SunEmitters
+from .guide_in_fog import DIMENSIONS, Guide, stretched
 from .light_choice import CELL, WEIGHED, pilot_points
 from .light_choice_in_fog import AirLights, FogChoice, fog_clusters, segments
 from .light_samples import SceneLights
@@ -62,6 +63,7 @@ class FogRays:
     media : K segments, whose ``ray`` counts the M rays. first : (M + 1,) where those of each ray begin.
     through : (3, K) float32, what transparent surfaces before a segment leave of it; None for all.
     cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
+    knots : (M, L, D, K) of a `Guide`; None without one.
     crossings : rays that went on behind transparent surfaces.
     """
 
@@ -72,6 +74,7 @@ class FogRays:
     lane: np.ndarray | None = None
     through: np.ndarray | None = None
     cell: np.ndarray | None = None
+    knots: np.ndarray | None = None
     crossings: int = 0
     values: None = field(default=None, init=False)
 
@@ -390,13 +393,26 @@ class ScatteredLight(Scattered):
         lights: np.ndarray,
         choice: FogChoice | None = None,
         check: Callable[[], None] = lambda: None,
+        guide: Guide | None = None,
     ) -> None:
-        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all."""
+        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all.
+        guide : of these lights, where all are sampled.
+        """
         super().__init__(scattering, lights, check)
-        self._choice = choice
+        self._choice, self._guide = choice, guide
         scene = scattering.lights
         self._number = None if len(scene) == 1 else self._lights
         self.rest_dimensions = 4 if choice is not None or scene.chooses_triangle else 3
+
+    def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
+        rays = super().first(pixels, u)
+        if self._guide is not None:
+            places = (
+                (corner[:, None] + at).ravel() for corner, at in zip((pixels.x, pixels.y), u, strict=True)
+            )
+            places = (at if rays.lane is None else at.take(rays.lane) for at in places)
+            rays.knots = self._guide.knots(*places)
+        return rays
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()
@@ -414,12 +430,16 @@ class ScatteredLight(Scattered):
         self, rays: FogRays, ray: np.ndarray, u: np.ndarray, split: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Which (J,) of N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
+        weight = None
         if self._choice is None:
             row = np.tile(np.arange(len(ray)), len(self._lights))
             light = np.repeat(self._lights, len(ray))
             which = np.tile(np.arange(u.shape[1]), len(self._lights))
-            w = u[-1].take(which)
-            place = self._segment(rays, ray.take(row), light, u[0].reshape(-1, split).take(row, axis=0))
+            w, at = u[-1].take(which), take(u[:DIMENSIONS], which)
+            if rays.knots is not None:
+                at, weight = stretched(rays.knots, np.repeat(ray, split), u[:DIMENSIONS])
+                at, weight = at.reshape(DIMENSIONS, -1), weight.ravel()
+            place = self._segment(rays, ray.take(row), light, at[0].reshape(-1, split))
             ray = ray.take(row)
         else:
             place = self._segment(rays, ray, None, u[0][:, None])
@@ -429,13 +449,15 @@ class ScatteredLight(Scattered):
             place.chance *= of_light
             which = np.argsort(light, kind="stable")
             ray, light, w, place = ray.take(which), light.take(which), w.take(which), place.take(which)
+            at = take(u[:DIMENSIONS], which)
         parts = []
         for t, density in self._distances(rays, ray, light, place):
             density *= place.chance[:, None]
             each = (np.repeat(x, split) for x in (ray, light, place.row))
-            parts.append(
-                self._arriving(rays, *each, t.reshape(-1), density.reshape(-1), take(u[1:3], which), w)
-            )
+            parts.append(self._arriving(rays, *each, t.reshape(-1), density.reshape(-1), at[1:], w))
+            if weight is not None:
+                rows, values = parts[-1]
+                values *= weight.take(rows)
         if len(parts) == 1:
             rows, values = parts[0]
             return which.take(rows), values

@@ -19,8 +19,12 @@ from .transport.direct_light import RGB, DirectLightOverTile, Pixels
 STEPS = ((0.02, 16), (0.3, 64), (3.0, 256), (30.0, 1024))
 """Contrast among the neighbours, over the mean of what is seen, above which a pixel gets so many rays."""
 
+LOOKS, LOOKS_SHARE = 16, 1 / 4
+"""Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and of all of these
+for each pixel of the picture."""
+
 GROUP = 2
-"""Of the points: another than those of reflected light."""
+"""Of the points: another than those of reflected light. The next is of such looks."""
 
 
 class DirectlySeen:
@@ -49,6 +53,12 @@ class DirectlySeen:
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
         contrast = contrast_around(self.mean, self._at_corners(of_lights))
         rays = np.ones(bins, np.int64)
+        looks = int(min(LOOKS, LOOKS_SHARE * of_lights.size / max(np.count_nonzero(of_lights), 1)))
+        if looks > 1 and of_lights.any():
+            # What is thinner than a pixel no neighbour sees.
+            own = self._differ(index[:, of_lights.ravel()], looks, seed)
+            contrast[:, of_lights] = np.maximum(contrast[:, of_lights], own)
+            rays[of_lights] = looks
         # The mean of all others, for the same reason.
         total = self.mean.mean(axis=0)
         others = (total.sum() - total) / max(total.size - 1, 1)
@@ -79,6 +89,19 @@ class DirectlySeen:
         if index.size:
             seen[:, wanted] = np.concatenate(self._map(look, range(0, index.shape[1], self._batch)), axis=1)
         return seen
+
+    def _differ(self, index: np.ndarray, count: int, seed: int) -> np.ndarray:
+        """(3, N) differences between the most and the least that ``count`` rays see in pixels (2, N)."""
+        points = SobolPoints(range(2), seed, GROUP + 1)
+        points.prepare(count)
+        width = max(1, self._batch // count)
+
+        def look(low: int) -> np.ndarray:
+            pixels = self._pixels_at(index[:, low : low + width])
+            hits = self._integrand.first(pixels, points.points(pixels.key(), 0, count))
+            return np.ptp(hits.values[RGB].reshape(3, len(pixels), count), axis=2)
+
+        return np.concatenate(self._map(look, range(0, index.shape[1], width)), axis=1)
 
     def _rays(self, index: np.ndarray, start: int, count: int) -> np.ndarray:
         """(3, N) mean of ``count`` rays of pixels (2, N), the net's points from ``start`` on."""

@@ -73,8 +73,9 @@ FOG_POINTS, SURFACE_POINTS = 32, 16
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
 
-SEEN_POINTS = 64, 2048
-"""Of each pixel that sees a beam, and of each that sees where one ends."""
+SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
+"""Of each pixel that sees a beam, and of each that sees where one ends, in a picture of one sample. Of more
+samples, as many times as many, up to the last."""
 
 FEW_POINTS = 16
 """Of the net of several lasers, whose light is their sum, at least."""
@@ -347,7 +348,9 @@ def _of_lasers(
     if seen.stretches or seen.spots:
         kinds = [{"spots": spots} for spots in (False, True)]
         touched, means = (tuple(partial(f, **kind) for kind in kinds) for f in (seen.touched, seen.means))
-        parts.append(Part("lasers seen", LASER, seen, 1, Seen(touched, means, SEEN_POINTS)))
+        more = (settings.samples - 1).bit_length()
+        points = tuple(min(points << more, MOST_SEEN_POINTS) for points in SEEN_POINTS)
+        parts.append(Part("lasers seen", LASER, seen, 1, Seen(touched, means, points)))
     return parts
 
 

@@ -20,8 +20,8 @@ STEPS = ((0.02, 16), (0.3, 64), (3.0, 256), (30.0, 1024))
 """Contrast among the neighbours, over the mean of what is seen, above which a pixel gets so many rays."""
 
 LOOKS, LOOKS_SHARE = 16, 1 / 4
-"""Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and how many in all,
-over the picture's pixels."""
+"""Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and how many in
+all, over the picture's pixels."""
 
 GROUP = 2
 """Of the points: another than those of reflected light. The next is of such looks."""

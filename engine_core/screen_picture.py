@@ -159,7 +159,9 @@ class ScreenPicture:
         settings, bins = self._settings, self._bins
         alone = settings.integrator == "cv_only"
         # A small picture has as many things in it as a large one.
-        self._left = total = max(float(settings.samples) * bins[0] * bins[1], FEWEST * self._cost)
+        self._left = self._total = total = max(
+            float(settings.samples) * bins[0] * bins[1], FEWEST * self._cost
+        )
         began = perf_counter()
         evaluator = NodeEvaluator(
             self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
@@ -333,7 +335,8 @@ class ScreenPicture:
             "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
         )
         crossed = alone[~beside]
-        afforded = max(1.0, WORTH / settings.samples) * self._left
+        of_one = max(float(width * height), FEWEST * self._cost)
+        afforded = self._left * max(1.0, WORTH * of_one / self._total)
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
         at_outlines = 1 << int(np.log2(np.clip(due, 2, self._most_at_outlines if around.any() else 2)))
         self._prepare(at_outlines)

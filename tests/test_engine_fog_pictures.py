@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scenes import assert_picture_is_sound, box, floor, place
 
+from benchmarks.scenes import core
 from engine_core import (
     AreaLight,
     Camera,
@@ -492,6 +493,13 @@ def test_pixels_where_neighbours_differ_get_more_samples():
     assert counts.min() == 1 and 1.1 * counts.size < counts.sum() < 1.4 * counts.size
     means = np.array([film.layers[0].radiance[..., :3].mean(dtype=float) for film in films])
     assert abs(means.mean() - truth) < 4 * means.std(ddof=1) / 4 + 1e-3 * truth
+
+
+def test_more_samples_of_a_small_picture_are_no_fewer_rays() -> None:
+    """What a picture of few samples may spend beyond them does not fall with their number."""
+    lit = core.example("fogged_interior", 96, 54)
+    rays = [render(lit, Settings(samples=n, seed=3)).statistics["shadow rays"] for n in (1, 4)]
+    assert rays[1] > 0.9 * rays[0]
 
 
 def test_beams_that_are_seen_are_the_more_exact_the_more_samples() -> None:

@@ -15,7 +15,7 @@ from .directly_seen import DirectlySeen
 from .image.film import FAR, LARGEST, Film
 from .integration.allocation import learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
-from .integration.control_variate import ControlVariate, TileOfRegions
+from .integration.control_variate import LOG_BINS, ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
 from .integration.mapping import Map, in_order
 from .integration.point_sets import staged_points
@@ -122,7 +122,7 @@ class ControlVariatePicture:
             self.integrand,
             self._pixels,
             settings,
-            lambda: self._variate_of(tree, log_edge, map_),
+            lambda log_bins: self._variate_of(tree, log_edge, map_, log_bins),
             tree,
             budget,
             map_,
@@ -176,8 +176,10 @@ class ControlVariatePicture:
         map_(self._integrate, range(len(self._variate)))
         self._film.combined[..., ALPHA] = 1
 
-    def _variate_of(self, tree: RegionTree, log_edge: int, map_: Map) -> ControlVariate:
-        return ControlVariate(tree, log_edge, self._options.max_overlaps, map_)
+    def _variate_of(
+        self, tree: RegionTree, log_edge: int, map_: Map, log_bins: int = LOG_BINS
+    ) -> ControlVariate:
+        return ControlVariate(tree, log_edge, self._options.max_overlaps, map_, log_bins)
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]

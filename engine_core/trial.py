@@ -14,35 +14,50 @@ from typing import Any
 import numpy as np
 
 from .integration.allocation import evenly_spread
+from .integration.build import unexplained
 from .integration.control_variate import ControlVariate
 from .integration.integrand import StagedIntegrand
 from .integration.mapping import Map
 from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
 from .integration.residual import ResidualSampler
+from .integration.sample_mean import sum_samples
+from .integration.standard_error import SECOND
 from .settings import Settings
 
 TRIED_AT = 0.25
 """The part of the nodes' budget after which it is tried."""
 
-OF_ALL, PIXELS = 1 / 64, 2048
-"""Of all samples, for the trial, at most; and pixels, at most."""
+DOUBTFUL = 0.05
+"""Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
+smooth lights leave .001 to .04 then, thin occluders .06 to .3."""
 
-TILES = 8
-"""Of the picture, in which these pixels lie, at most: to make one ready takes more than to sample it."""
+OF_ALL, PIXELS = 1 / 64, 2048
+"""Of all samples, for a round of the trial, at most; and pixels, at most."""
+
+TILES, LOG_BINS = 12, 12
+"""Of the picture, in which these pixels lie, at most: to make one ready takes more than to sample it. And
+log2 of a tile's pixels, if regions are no larger."""
+
+PARTS = 4
+"""Into which they are split for workers."""
 
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
-BETTER, SURE = 0.9, 1.0
-"""Part of the deviation of f - h that f may have, and by how many standard errors it must be below that: in a
-few pixels either may seem better by chance."""
+BETTER = 0.9
+"""Part of the deviation of f - h that f may have."""
+
+SURE = (-1.5, 2.5), (0.75, 0.75)
+"""Of each round of the trial: by how many standard errors f must be below that, no more than the first for
+h to be kept, more than the second for it to be given up; between them comes the next round, of more pixels.
+In a few either may seem better by chance."""
 
 
 class Trial:
     """Two nets of f - h, and two of f, in each of a few pixels.
 
-    beaten : whether f itself is better. spent : samples.
+    doubtful : whether it was asked for. beaten : whether f itself is better. spent : samples.
     """
 
     def __init__(
@@ -50,74 +65,94 @@ class Trial:
         integrand: StagedIntegrand,
         pixels: Callable[[np.ndarray], Any],
         settings: Settings,
-        variate: Callable[[], ControlVariate],
+        variate: Callable[[int], ControlVariate],
         tree: RegionTree,
         budget: float,
         map_: Map,
     ) -> None:
-        """pixels : of index (2, N). variate : makes one of the ``tree`` as it is. budget : of nodes.
+        """pixels : of index (2, N). variate : makes one of the ``tree`` as it is, of tiles of so
+        many pixels by their log2. budget : of nodes.
 
         map_ : runs a function over items on the workers.
         """
         self._integrand, self._pixels, self._settings = integrand, pixels, settings
         self._variate, self._tree, self._budget, self._map = variate, tree, budget, map_
         self._total = float(settings.samples) * float(np.prod(tree.bins))
-        self._tried = self.beaten = False
+        self._tried = self.doubtful = self.beaten = False
         self.spent = 0
 
     def lost(self, evaluations: int) -> bool:
         """Whether no more nodes are worth it; to be asked before every batch. evaluations : so far."""
         if not self._tried and evaluations >= TRIED_AT * self._budget:
             self._tried = True
-            of_h, of_f = self._deviations()
-            gain = BETTER * of_h - of_f
-            self.beaten = gain.sum() > SURE * np.sqrt(len(gain)) * gain.std()
+            self.doubtful = unexplained(self._tree)[0] > DOUBTFUL
+            if self.doubtful:
+                self.beaten = self._is_beaten()
         return self.beaten
 
-    def _deviations(self) -> np.ndarray:
-        """(2, P) of nets of f - h, and of f, in each of the pixels."""
-        seed, bins = self._settings.seed + 9, self._tree.bins
-        kinds, nets = (False, True), 2
+    def _is_beaten(self) -> bool:
+        # A control variate directs samples by errors shared with neighbours, regions grow by their own.
+        own = self._tree.leaves().density.copy()
+        variate = self._variate(LOG_BINS)
+        gain, beaten = np.zeros(0), False
+        for number, (low, high) in enumerate(SURE):
+            of_h, of_f = self._deviations(variate, number)
+            gain = np.concatenate([gain, BETTER * of_h - of_f])
+            noise = np.sqrt(len(gain)) * gain.std()
+            beaten = gain.sum() > high * noise
+            if beaten or gain.sum() <= low * noise:
+                break
+        self._tree.leaves().density[:] = own
+        return bool(beaten)
+
+    def _deviations(self, variate: ControlVariate, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) of nets of f - h, and of f, in each of a round's pixels."""
+        seed, bins = self._settings.seed + 9 + 101 * number, self._tree.bins
+        kinds, nets = 2, 2
         count = 1 << int(np.log2(np.clip(self._settings.samples / 2, 1, LONGEST)))
-        each = len(kinds) * nets * count
+        each = kinds * nets * count
         wanted = min(OF_ALL * self._total / each, PIXELS)
         points = staged_points("sobol", 2, self._integrand.rest_dimensions, 1, seed)
         for group in points:
             group.prepare(count)
-        # A control variate directs samples by errors shared with neighbours, regions grow by their own.
-        own = self._tree.leaves().density.copy()
-        variate = self._variate()
-        numbers = np.flatnonzero(evenly_spread((len(variate),), max(len(variate) / TILES, 1), seed))
-        share = len(numbers) / len(variate)
+        tiles = np.flatnonzero(evenly_spread((len(variate),), max(len(variate) / TILES, 1), seed))
+        share = len(tiles) / len(variate)
         tried = evenly_spread(bins, max(np.prod(bins) * share / wanted, 1), seed)
 
-        def sample(number: int) -> np.ndarray:
+        def of_h(number: int) -> tuple[np.ndarray, np.ndarray]:
             tile = variate.tile(number)
             x, y = tile.index
             which = tried[x, y]
-            found = np.zeros((len(kinds), np.count_nonzero(which)))
+            index = tile.index[:, which]
             if not which.any():
-                return found
-            pixels, total = self._pixels(tile.index), len(which)
-            _, error, _ = tile.means(variate.spread)
-            for kind, plain in enumerate(kinds):
-                _, spread = ResidualSampler(points, self._tree.dimensions).sample(
-                    self._integrand,
-                    pixels,
-                    pixels.key(),
-                    tile,
-                    tile.density(variate.spread),
-                    error,
-                    np.where(which, count, 0),
-                    np.ones(total),
-                    which,
-                    plain=np.full(total, plain),
-                )
-                # Samples go where the deviation is: its mean counts, not that of its square.
-                found[kind] = np.abs(spread.twice[:, which]).sum(axis=0)
-            return found
+                return index, np.zeros(0)
+            pixels = self._pixels(tile.index)
+            _, spread = ResidualSampler(points, self._tree.dimensions).sample(
+                self._integrand,
+                pixels,
+                pixels.key(),
+                tile,
+                tile.density(variate.spread),
+                tile.error(variate.spread),
+                np.where(which, count, 0),
+                np.ones(len(which)),
+                which,
+            )
+            # Samples go where the deviation is: its mean counts, not that of its square.
+            return index, np.abs(spread.twice[:, which]).sum(axis=0)
 
-        found = np.concatenate(self._map(sample, [int(n) for n in numbers]), axis=1)
-        self._tree.leaves().density[:] = own
-        self.spent += int(each * share * np.count_nonzero(tried))
-        return found
+        def of_f(index: np.ndarray) -> np.ndarray:
+            pixels = self._pixels(np.tile(index, nets))
+            keys = pixels.key()
+            keys[index.shape[1] :] ^= SECOND
+            sums = sum_samples(self._integrand, pixels, keys, points, 0, count).values[
+                : len(self._tree.store.values)
+            ]
+            one, other = np.split(sums / count, nets, axis=1)
+            return np.abs(one - other).sum(axis=0) / np.sqrt(2)
+
+        found = self._map(of_h, [int(n) for n in tiles])
+        index = np.concatenate([places for places, _ in found], axis=1)
+        self.spent += each * index.shape[1]
+        plain = self._map(of_f, np.array_split(index, PARTS, axis=1))
+        return np.concatenate([deviation for _, deviation in found]), np.concatenate(plain)

@@ -31,7 +31,7 @@ def test_the_mean_is_right_whether_h_is_given_up_or_not(
     fence: Scene, better: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trial, "BETTER", better)
-    monkeypatch.setattr(trial, "SURE", 0.0)
+    monkeypatch.setattr(trial, "SURE", ((0.0, 0.0),))
     films = [render(fence, Settings(samples=4, seed=seed, threads=1)) for seed in range(40)]
     gave_up = {film.statistics["control variate"].startswith("given up") for film in films}
     assert gave_up == {better > 0}
@@ -45,7 +45,11 @@ def test_bars_below_the_regions_are_sampled_without_h() -> None:
     assert film.statistics["control variate"].startswith("given up")
 
 
-def test_soft_shadows_keep_h() -> None:
+def test_soft_shadows_keep_h_untried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tried(*arguments: object) -> None:
+        raise AssertionError("what nodes see leaves no doubt")
+
+    monkeypatch.setattr(trial.Trial, "_deviations", tried)
     things = [
         Thing("Floor", block((-3, -3, -0.1), (3, 3, 0)), diffuse("Floor", (0.5, 0.5, 0.5))),
         Thing("Ball", ball(0.5, (0, 0, 0.8), cells=8), diffuse("Ball", (0.5, 0.5, 0.5))),
@@ -54,3 +58,21 @@ def test_soft_shadows_keep_h() -> None:
     lamp = Lamp("Lamp", "AREA", (1, -1, 3), 100, target=(0, 0, 0), properties=disk)
     film = render(scene(Model(View((0, -6, 3), (0, 0, 0.4)), things, [lamp]), 128, 72), Settings(samples=4))
     assert film.statistics["control variate"] == "built"
+
+
+def test_what_is_uncertain_is_tried_in_more_pixels(fence: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds, pixels = [], []
+
+    def alike(self: trial.Trial, variate: object, number: int) -> tuple[np.ndarray, np.ndarray]:
+        rounds.append(number)
+        of_h, of_f = deviations(self, variate, number)
+        pixels.append(len(of_h))
+        assert of_h.shape == of_f.shape and (of_h >= 0).all() and (of_f >= 0).all() and of_f.any()
+        return 1 + 0.1 * (-1.0) ** np.arange(len(of_h)), np.full(len(of_f), trial.BETTER)
+
+    deviations = trial.Trial._deviations
+    monkeypatch.setattr(trial.Trial, "_deviations", alike)
+    film = render(fence, Settings(samples=16, seed=3, threads=1))
+    assert rounds == [0, 1] and film.statistics["control variate"] == "built"
+    # 1/64 of the samples: four nets of 8 in each pixel.
+    assert all(0 < n < 2 * fence.camera.width * fence.camera.height * 16 / 64 / 32 for n in pixels)

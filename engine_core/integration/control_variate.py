@@ -17,7 +17,7 @@ from .mapping import Map, in_order
 from .regions import BIN, WHOLE, Regions, RegionTree, neighbourly
 from .rules import bin_means, face_weights, lagrange, weighted
 
-_LOG_BINS = 14
+LOG_BINS = 14
 """log2 of a tile's bins, about: enough for full batches of samples, few enough for the cache."""
 
 ROWS = 4096
@@ -149,6 +149,14 @@ class TileOfRegions:
         deviation = np.sqrt(np.where(variance > 1e-12 * square, variance, 0)).sum(axis=0)
         return h, error, np.divide(left, deviation**2, out=np.zeros(total), where=deviation > 0)
 
+    def error(self, spread: np.ndarray | None = None) -> np.ndarray:
+        """(B,) E alone, as in `means`."""
+        density, out = self.density(spread) * self.overlap, np.zeros(self.index.shape[1])
+        for group in self.footprints:
+            once = np.add.reduceat(density.take(group.regions), group.begin)
+            out[group.slots] += once[:, None]
+        return out
+
     def density(self, spread: np.ndarray | None) -> np.ndarray:
         """(R,) the predicted deviation of a sample of f - h."""
         if spread is None:
@@ -266,10 +274,17 @@ def _tensor(basis: list[np.ndarray], count: int) -> np.ndarray:
 class ControlVariate:
     """A region tree cut into tiles."""
 
-    def __init__(self, tree: RegionTree, log_edge: int, max_overlaps: int, map_: Map = in_order) -> None:
+    def __init__(
+        self,
+        tree: RegionTree,
+        log_edge: int,
+        max_overlaps: int,
+        map_: Map = in_order,
+        log_bins: int = LOG_BINS,
+    ) -> None:
         """log_edge : of the tree's roots. max_overlaps : of regions and bins, in any one tile.
 
-        map_ : runs a function over items on workers.
+        map_ : runs a function over items on workers. log_bins : of a tile, about, if roots are not larger.
         """
         self._tree = tree
         self.bins = tree.bins
@@ -278,7 +293,7 @@ class ControlVariate:
         regions.density[:] = neighbourly(regions.density, regions, tree.store.count, map_)
         covered = np.maximum(regions.size[: len(tree.bins)].astype(np.int64) - BIN, 0).sum(axis=0)
         overlaps = np.ldexp(1.0, covered)
-        self._log = max(_LOG_BINS // len(tree.bins), log_edge)
+        self._log = max(log_bins // len(tree.bins), log_edge)
         while True:
             self._counts = tuple(-(-n >> self._log) for n in tree.bins)
             tile = np.zeros(len(regions), np.int64)

@@ -45,7 +45,7 @@ FIRST_PASS = 8
 DEFENSIVE, DEFENSIVE_OF_F = 0.1, 0.4
 """Of the residual samples, spread evenly; and where h is given up: then nodes saw little of what there is."""
 
-OF_F = 0.9
+OF_F = 0.75
 """Power of the deviation in the number of samples where h is given up."""
 
 SHARE = 0.25

@@ -48,7 +48,7 @@ LONGEST = 8
 BETTER = 0.9
 """Part of the deviation of f - h that f may have."""
 
-SURE = (-1.5, 2.5), (0.75, 0.75)
+SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for
 h to be kept, more than the second for it to be given up; between them comes the next round, of more pixels.
 In a few either may seem better by chance."""
@@ -98,7 +98,7 @@ class Trial:
         for number, (low, high) in enumerate(SURE):
             of_h, of_f = self._deviations(variate, number)
             gain = np.concatenate([gain, BETTER * of_h - of_f])
-            noise = np.sqrt(len(gain)) * gain.std()
+            noise = np.sqrt(len(gain)) * gain.std() if gain.size else 0.0
             beaten = gain.sum() > high * noise
             if beaten or gain.sum() <= low * noise:
                 break
@@ -142,6 +142,8 @@ class Trial:
             return index, np.abs(spread.twice[:, which]).sum(axis=0)
 
         def of_f(index: np.ndarray) -> np.ndarray:
+            if not index.size:
+                return np.zeros(0)
             pixels = self._pixels(np.tile(index, nets))
             keys = pixels.key()
             keys[index.shape[1] :] ^= SECOND

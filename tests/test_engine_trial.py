@@ -73,6 +73,13 @@ def test_what_is_uncertain_is_tried_in_more_pixels(fence: Scene, monkeypatch: py
     deviations = trial.Trial._deviations
     monkeypatch.setattr(trial.Trial, "_deviations", alike)
     film = render(fence, Settings(samples=16, seed=3, threads=1))
-    assert rounds == [0, 1] and film.statistics["control variate"] == "built"
+    assert rounds == [0, 1, 2] and film.statistics["control variate"] == "built"
     # 1/64 of the samples: four nets of 8 in each pixel.
     assert all(0 < n < 2 * fence.camera.width * fence.camera.height * 16 / 64 / 32 for n in pixels)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 3), (16, 9)])
+def test_pictures_of_few_pixels_are_tried_too(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "DOUBTFUL", -1.0)
+    film = render(clear(example("fence", *size)), Settings(samples=64, seed=1, threads=2))
+    assert np.isfinite(film.combined).all()

@@ -53,9 +53,6 @@ AROUND_LIGHTS = 2, 2
 """Nodes and checks of a whole ray next to a light in the picture. Most of what it brings comes from there,
 where little stands in the way, and a pixel there has many rays."""
 
-AT_OUTLINES = 8
-"""`OverScreen.at_outlines`."""
-
 MOST_BARE, MOST_SIZED = 128, 16
 """Lights without size whose whole rays are looked at: of more, some are chosen at every sample. And lights
 with a size, up to which pixels about lights in the picture are integrated by themselves."""
@@ -99,31 +96,22 @@ class Seen:
 class OverScreen:
     """How a control variate over the screen alone serves an integral.
 
-    at_nodes, rule : what nodes evaluate, and how they integrate what is left; None if nothing is.
-    sampled : an unbiased estimate of the same with little noise, for the residual.
+    whole, rule : an unbiased estimate with little noise; and how nodes integrate it, without.
     rays : to each light, that either takes, about.
-    alone, split : what pixels of no polynomial are sampled by, and points of its rest for each camera ray.
-    alone_rays : to each light, that such a point takes.
+    alone, alone_rays : what samples pixels of no polynomial, and how many rays to each light that takes.
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
-    fresh : what tells how far off the net of ``sampled`` is: the same by another net for each bin; None where
-        ``sampled`` has no error in common.
-    at_outlines : samples that pixels of no polynomial have at least, a power of two, or else 2.
     wedges : parts of the picture that no region knows whose nodes all lie beside them.
     """
 
-    at_nodes: StagedIntegrand
-    rule: InnerRule | None
-    sampled: StagedIntegrand
+    whole: StagedIntegrand
+    rule: InnerRule
     rays: int
     alone: StagedIntegrand
-    split: int
+    alone_rays: int
     outlines: Callable[[Region, Map], np.ndarray]
-    elsewhere: np.ndarray | None = None
-    fresh: StagedIntegrand | None = None
-    at_outlines: int = AT_OUTLINES
-    alone_rays: int = 1
-    wedges: tuple[Wedge, ...] = ()
+    elsewhere: np.ndarray | None
+    wedges: tuple[Wedge, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +162,7 @@ class Part:
         """Rays by kind, and what was not finite, so far."""
         integrands = [self.plain]
         if isinstance(self.by, OverScreen):
-            integrands += [self.by.at_nodes, self.by.sampled, self.by.alone]
+            integrands += [self.by.whole, self.by.alone]
         elif isinstance(self.by, AroundLights):
             integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
@@ -273,14 +261,12 @@ def _of_fog(
         by = OverScreen(
             whole,
             AlongRay(node),
-            whole,
             ray,
             PointsOfRay(scattering, bare, check, tamed=calm if many else None),
-            1,
+            alone,
             and_beams,
             None if many else elsewhere,
-            alone_rays=alone,
-            wedges=tuple(beams.values()),
+            tuple(beams.values()),
         )
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:

@@ -2,8 +2,8 @@
 """An integral of its own over every pixel, by a control variate over the screen alone.
 
 Polynomials cover the two dimensions of the picture; what else is integrated is integrated inside each
-node, by a rule, and at each sample of the residual, by an unbiased estimate: of fog, the light along a
-whole camera ray. So h costs a few products, H one small matrix product a size of region, and most pixels
+node, by a rule, and at each sample of the residual, by an unbiased estimate: the light along a whole
+camera ray. So h costs a few products, H one small matrix product a size of region, and most pixels
 no sample at all.
 """
 
@@ -31,8 +31,8 @@ from .transport.camera_hits import Pixels
 CHANNELS = 3
 
 SHARE, SHARE_OF_RAYS = 1 / 3, 1 / 2
-"""Of the budget, spent on nodes; where these are whole rays, which leave nothing to chance along them, more,
-and of few samples up to twice as much. Samples have what the first leaves."""
+"""Of the budget: how much less nodes leave to samples at most, and how much they spend, which leave nothing to
+chance along their rays; of few samples up to twice that."""
 
 FEWEST = 4096
 """Nodes and samples of a picture, however small."""
@@ -54,12 +54,6 @@ DEFENSIVE = 0.1
 
 CHANCE = 1 / 32
 """The least with which a pixel is sampled at all."""
-
-FRESH_SHARE, FEWEST_FRESH, MOST_FRESH = 1 / 16, 256, 8192
-"""How many pixels tell of a net's error: of the samples that are left, at least, at most."""
-
-FRESH_A_TERM = 16
-"""Of these pixels, for each term of the polynomial that is fitted to them."""
 
 DEAR = 8.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
@@ -102,6 +96,10 @@ DARK = 1 / 16
 STEP = 0.05
 """Between nodes of a region with an outline in it, of the nodes' mean: no polynomial goes up one."""
 
+AT_OUTLINES = 8
+"""Samples that pixels which an outline crosses have at most before it is known how much they deviate, a power
+of two; 2 at least."""
+
 AT_BESIDE = 2
 """Samples at least, and an even number, of pixels in such regions that the outline itself does not cross."""
 
@@ -135,11 +133,10 @@ class ScreenPicture:
         check: Callable[[], None],
     ) -> None:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
-        self._at_nodes, self._rule = by.at_nodes, by.rule
-        self._sampled, self._alone, self._outlines = by.sampled, by.alone, by.outlines
-        self._elsewhere, self._fresh, self._most_at_outlines = by.elsewhere, by.fresh, by.at_outlines
+        self._whole, self._rule, self._alone = by.whole, by.rule, by.alone
+        self._outlines, self._elsewhere = by.outlines, by.elsewhere
         self._wedges = by.wedges
-        self._split, self._alone_cost = by.split, max(1.0, by.split * by.alone_rays / SHADOW_RAYS)
+        self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own.
         self._mean, self._residual, self._count = layer.control_variate, layer.residual, layer.sample_count
@@ -164,12 +161,9 @@ class ScreenPicture:
         )
         began = perf_counter()
         evaluator = NodeEvaluator(
-            self._at_nodes, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
+            self._whole, bins, self._pixels, 2, self._rule, settings.seed, map_, CHANNELS
         )
-        # Evaluations to a sample of the budget: a rule's rays count one by one.
-        worth = evaluator.cost / self._cost if self._rule is None else SHADOW_RAYS
-        share = SHARE if self._rule is None else SHARE_OF_RAYS * (1 + 1 / settings.samples)
-        budget = total * worth * (1.0 if alone else share)
+        budget = total * SHADOW_RAYS * (1.0 if alone else SHARE_OF_RAYS * (1 + 1 / settings.samples))
         log_edge = root_edge(bins, 2, budget / evaluator.cost)
         # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of
         # regions than regions; but what is sampled there is f.
@@ -180,13 +174,11 @@ class ScreenPicture:
             tree = RegionTree(bins, 2, log_edge, evaluator, False)
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
             self.regions, self.nodes = len(tree), tree.store.count
-            self._left -= min(evaluator.evaluations / worth, SHARE * total)
+            self._left -= min(evaluator.evaluations / SHADOW_RAYS, SHARE * total)
             if helps or alone:
                 self._tree, self.told = tree, "built"
         grown = perf_counter()
         self._integrate(map_)
-        if self._fresh is not None and self.regions:
-            self._correct(map_)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
 
     def _pixels(self, index: np.ndarray) -> Pixels:
@@ -253,9 +245,7 @@ class ScreenPicture:
         # One more for pixels of none.
         is_plain, has_outline = np.zeros((2, len(leaves) + 1), bool)
         is_plain[plain] = True
-        if self._rule is not None:
-            # By a net, f itself is noisier than f - h.
-            has_outline[self._region[self._outline]] = True
+        has_outline[self._region[self._outline]] = True
         step = np.ptp(coefficients, axis=1).sum(axis=1)
         has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
         has_outline[:-1] |= _hidden(leaves, self._wedges, self._corner)
@@ -270,47 +260,6 @@ class ScreenPicture:
 
         map_(classify, self._rows())
         self._tree = None
-
-    def _correct(self, map_: Map) -> None:
-        """Take off what the net at all nodes has in common: a smooth part of H, found by other nets.
-
-        Some pixels are integrated by nets of their own beside this one; their differences, as a part of H
-        that is a polynomial of the place, are fitted. What the fit leaves is 0 in the mean over seeds.
-        """
-        width, height = self._bins
-        wanted = np.clip(FRESH_SHARE * self._left / self._cost, FEWEST_FRESH, MOST_FRESH)
-        lit = self._mean.any(axis=2) & ~self._outline
-        share = max(np.count_nonzero(lit) / wanted, 1)
-        index = np.flatnonzero(evenly_spread((width, height), share, self._settings.seed + 3).T & lit)
-        if len(index) == 0:
-            return
-
-        def differ(part: np.ndarray) -> np.ndarray:
-            self._check()
-            y, x = np.divmod(part, width)
-            pixels = self._pixels(np.stack([x, y]))
-            middle = np.full((2, len(part), 1), 0.5, np.float32)
-            fresh, ours = (f.first(pixels, middle).values for f in (self._fresh, self._sampled))
-            return (fresh - ours)[:CHANNELS].T
-
-        found = np.concatenate(map_(differ, self._chunks(index, 64)))
-        self._left -= len(index) * self._cost * 1.5
-        y, x = np.mgrid[:height, :width]
-        terms = _terms(x / width - 0.5, y / height - 0.5).astype(np.float32)
-        if len(index) < FRESH_A_TERM * len(terms):
-            terms = terms[:1]
-        of_pixels = self._mean.reshape(-1, CHANNELS)[index].astype(np.float64)
-        # So weighted, the fit has the sum of what it is fitted to.
-        weight = 1 / np.sqrt(np.abs(of_pixels) + 1e-3 * np.abs(of_pixels).mean(axis=0) + 1e-300)
-        basis = terms.reshape(len(terms), -1)[:, index].T[:, :, None] * (of_pixels * weight)[:, None]
-        for channel in range(CHANNELS):
-            a = basis[:, :, channel]
-            scale = np.sqrt(np.square(a).sum(axis=0)) + 1e-300
-            b = found[:, channel] * weight[:, channel]
-            solution = np.linalg.lstsq(a / scale, b, rcond=1e-6)[0] / scale
-            self._mean[:, :, channel] *= 1 + np.tensordot(solution, terms, 1).astype(np.float32)
-        np.clip(self._mean, -LARGEST, LARGEST, out=self._mean)
-        # h, from which samples are told apart, has none of it.
 
     def allocate(
         self, map_: Map, around: np.ndarray, bright: float, of_surfaces: float | None = None
@@ -330,15 +279,15 @@ class ScreenPicture:
             self._mean.reshape(-1, CHANNELS)[plain[elsewhere]] = 0
             alone = plain[~elsewhere]
         beside = self._beside.reshape(-1)[alone]
-        self._points = staged_points("sobol", 2, self._sampled.rest_dimensions, 1, settings.seed + 1)
-        self._alone_points = staged_points(
-            "sobol", 2, self._alone.rest_dimensions, self._split, settings.seed + 1
+        self._points, self._alone_points = (
+            staged_points("sobol", 2, f.rest_dimensions, 1, settings.seed + 1)
+            for f in (self._whole, self._alone)
         )
         crossed = alone[~beside]
         of_one = max(float(width * height), FEWEST * self._cost)
         afforded = self._left * max(1.0, WORTH * of_one / self._total)
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
-        at_outlines = 1 << int(np.log2(np.clip(due, 2, self._most_at_outlines if around.any() else 2)))
+        at_outlines = 1 << int(np.log2(np.clip(due, 2, AT_OUTLINES if around.any() else 2)))
         self._prepare(at_outlines)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
@@ -490,13 +439,12 @@ class ScreenPicture:
         keys = pixels.key()
         served = self._is_served(y, x)
         integrand, (first, rest) = (
-            (self._sampled, self._points) if served else (self._alone, self._alone_points)
+            (self._whole, self._points) if served else (self._alone, self._alone_points)
         )
-        split = 1 if served else self._split
-        screen, u = first.points(keys, 0, n), rest.points(keys, 0, n * split)
+        screen, u = first.points(keys, 0, n), rest.points(keys, 0, n)
         stage = integrand.first(pixels, screen)
-        f = values_at(integrand, stage, len(x) * n, None, u.reshape(len(u), len(x) * n * split))[:CHANNELS]
-        f = f.reshape(CHANNELS, len(x), n, split).mean(axis=3, dtype=np.float64).transpose(1, 2, 0)
+        f = values_at(integrand, stage, len(x) * n, None, u.reshape(len(u), len(x) * n))[:CHANNELS]
+        f = f.reshape(CHANNELS, len(x), n).astype(np.float64).transpose(1, 2, 0)
         return f - self._variate(x, y, screen) if served else f
 
     def _is_served(self, y: np.ndarray, x: np.ndarray) -> bool:
@@ -504,9 +452,8 @@ class ScreenPicture:
         return len(x) > 0 and bool(self._approximate[y[0], x[0]])
 
     def _prepare(self, count: int) -> None:
-        for points, split in ((self._points, 1), (self._alone_points, self._split)):
-            points[0].prepare(count)
-            points[1].prepare(count * split)
+        for group in (*self._points, *self._alone_points):
+            group.prepare(count)
 
     def _variate(self, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
         """(B, n, C) h at points u (2, B, n) of pixels' unit squares."""
@@ -547,11 +494,6 @@ class ScreenPicture:
             # A mean of n points of a net, that is taken by chance.
             error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
             self._layer.standard_error[:] = (error / CHANNELS)[..., None]
-
-
-def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(6, ...) monomials up to the second degree."""
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) -> np.ndarray:

@@ -28,7 +28,6 @@ from engine_core import (
     render,
 )
 from engine_core.image.film import LASER, Layer
-from engine_core.integration.integrated import Integrated
 from engine_core.part_pictures import SeenPicture, _of_neighbours
 from engine_core.parts import parts_of
 from engine_core.shading.closures import Emission, Mix, Transparent
@@ -354,7 +353,7 @@ def test_all_pixels_where_a_narrow_beam_is_tamed_are_known(projection, seed):
     half = (3, 2) if projection == "orthographic" else (0.6, 0.4)
     plane = (-half[0], half[0], -half[1], half[1])
     made = replace(scene(beam), camera=replace(CAMERA, projection=projection, viewplane=plane))
-    scattering = parts_of(made, DirectLight(made), Settings(), lambda: None)[-1].by.at_nodes._scattering
+    scattering = parts_of(made, DirectLight(made), Settings(), lambda: None)[-1].by.whole._scattering
     beams = wedges(scattering.rays, scattering.lights, scattering.cones, np.arange(1))
     calm = tamed(scattering.rays, scattering.lights, beams, [], CAMERA.region)
     x, y = (a.ravel().astype(np.int32) for a in np.indices((48, 32)))
@@ -447,34 +446,6 @@ def test_silhouettes_are_followed_between_the_corners_of_pixels(seed):
     partly = (hit.mean(axis=2) > 1 / 16) & ~hit.all(axis=2)
     assert partly.sum() > 100 and found[partly].mean() > 0.98
     assert found[~hit.any(axis=2)].mean() < 0.1
-
-
-class Wave:
-    """1 + cos of the place and of two more dimensions; over the latter its mean is 1."""
-
-    rest_dimensions, staged = 2, True
-
-    def first(self, bins, u):
-        return type("Stage", (), {"values": None, "lane": None, "place": u[0].ravel()})()
-
-    def rest(self, stage, lane, u):
-        place = np.repeat(stage.place, u.shape[2])
-        u = u.reshape(2, -1)
-        wave = 1 + place * np.cos(2 * np.pi * (u[0] ** 1.3 + u[1])) + u[0] - 0.5
-        return None, np.stack([wave] * 3)
-
-
-def test_one_net_for_all_is_unbiased_over_seeds():
-    pixels = Pixels(np.arange(4, dtype=np.int32), np.zeros(4, np.int32), np.zeros(4, np.int32))
-    u = np.full((2, 4, 1), 0.5, np.float32)
-    for fixed in (True, False):
-        each = np.array(
-            [Integrated(Wave(), 16, seed, fixed=fixed).first(pixels, u).values for seed in range(200)]
-        )
-        error = each[:, 0].std(axis=0) / 200**0.5
-        assert (np.abs(each[:, 0].mean(axis=0) - 1) < 4.5 * error + 1e-6).all()
-        # Alike at all bins, or not.
-        assert (np.ptp(each[:, 0], axis=1).max() < 1e-6) == fixed
 
 
 def test_more_lights_than_are_weighed_light_fog():

@@ -31,8 +31,8 @@ from .transport.camera_hits import Pixels
 CHANNELS = 3
 
 SHARE, SHARE_OF_RAYS = 1 / 3, 1 / 2
-"""Of the budget: how much less nodes leave to samples at most, and how much they spend, which leave nothing to
-chance along their rays; of few samples up to twice that."""
+"""Of the budget: how much less nodes leave to samples at most, and how much they spend, which leave nothing
+to chance along their rays; of few samples up to twice that."""
 
 FEWEST = 4096
 """Nodes and samples of a picture, however small."""

@@ -218,9 +218,8 @@ def _of_fog(
             )
         return found
 
-    def and_beams(region: Region, map_: Map) -> np.ndarray:
-        found = outlines(region, map_)
-        return found if calm is None else found | calm.beams
+    def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
+        return lambda region, map_: outlines(region, map_) | (False if beams is None else beams)
 
     parts, rest, elsewhere, calm = [], scattering.sized, None, None
     bare, choice = scattering.sizeless, None
@@ -264,7 +263,7 @@ def _of_fog(
             ray,
             PointsOfRay(scattering, bare, check, tamed=calm if many else None),
             alone,
-            and_beams,
+            and_beams(None if calm is None else calm.beams),
             None if many else elsewhere,
             tuple(beams.values()),
         )
@@ -281,7 +280,10 @@ def _of_fog(
             light.counts.update(one.counts)
         # So that errors are least that fall as 1 / samples.
         points = 1 << int(np.log2(LIGHT_POINTS) + np.log2(settings.samples) * 2 / 3)
-        by = OverNet(light, points, outlines, elsewhere)
+        narrow = None
+        if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
+            narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
+        by = OverNet(light, points, and_beams(narrow), elsewhere)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 

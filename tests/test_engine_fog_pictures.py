@@ -378,6 +378,20 @@ def test_a_narrow_beam_has_no_specks():
             assert np.abs(ours.volume - film.volume).max() < 0.15 * film.volume.max()
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.02])
+def test_narrow_beams_are_sampled_by_themselves(radius):
+    def outlines(angle):
+        spot = SpotLight(500.0, light_to_world=place(INSIDE, (0.4, -1.3, 0)), angle=angle, radius=radius)
+        lit = scene(spot)
+        parts = parts_of(lit, DirectLight(lit), Settings(), lambda: None)
+        (part,) = [part for part in parts if part.name.startswith("fog lit by")]
+        return part.by.outlines(CAMERA.region, lambda function, items: [*map(function, items)])
+
+    narrow, wide = outlines(0.2), outlines(2.0)
+    assert (narrow >= wide).all()
+    assert np.count_nonzero(narrow & ~wide) > 10
+
+
 def test_many_lights_in_fog_are_their_sum():
     """In the mean over seeds, where all of their peaks, and beams, are in the picture."""
     random = np.random.default_rng(3)

@@ -162,16 +162,16 @@ class Wedge:
 
 def wedges(rays: CameraRays, lights: SceneLights, cones: AirLights, numbers: np.ndarray) -> dict[int, Wedge]:
     """Of those of lights ``numbers`` that are spots before the camera, whose beams cover a part of the
-    picture that is less than half pi wide.
+    picture that is less than half pi wide. Of one with a size it begins behind the light.
     """
     found = {}
-    image, depth = rays.image_of(lights.centre[:, numbers])
-    seen = (depth > rays.clip_start) & np.isfinite(lights.reach[numbers]) & cones.coned[numbers]
-    for k, centre in zip(numbers[seen].tolist(), image[:, seen].T, strict=True):
-        if (np.abs(centre) < FARTHEST).all():
-            lit = lit_angles(rays, lights, cones, k)
+    for k in numbers[np.isfinite(lights.reach[numbers]) & cones.coned[numbers]].tolist():
+        apex = (cones.apex if lights.reach[k] > 0 else lights.centre)[:, k]
+        image, depth = rays.image_of(apex[:, None])
+        if depth[0] > rays.clip_start and (np.abs(image) < FARTHEST).all():
+            lit = _lit_from(rays, cones, k, apex)
             if lit is not None and lit[2] - lit[1] < np.pi / 2:
-                found[k] = Wedge(centre, lit)
+                found[k] = Wedge(image[:, 0], lit)
     return found
 
 
@@ -209,13 +209,20 @@ def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndar
 def lit_angles(
     rays: CameraRays, lights: SceneLights, cones: AirLights, light: int
 ) -> tuple[float, float, float] | None:
-    """Between which directions in the picture, as `polar` wants them, a light's cone is seen; None for all.
-
-    Half planes that end in the line from the camera through the light are lines of the picture.
-    """
+    """Between which directions in the picture, as `polar` wants them, its cone is seen; None for all."""
     if not cones.coned[light] or lights.reach[light] > 0:
         return None
-    place = lights.centre[:, light].astype(np.float64)
+    return _lit_from(rays, cones, light, lights.centre[:, light])
+
+
+def _lit_from(
+    rays: CameraRays, cones: AirLights, light: int, apex: np.ndarray
+) -> tuple[float, float, float] | None:
+    """The same of a cone's apex (3,).
+
+    Half planes that end in the line from the camera through the apex are lines of the picture.
+    """
+    place = apex.astype(np.float64)
     centre, depth = rays.image_of(place[:, None])
     _, along = rays.exactly(*centre[:, 0])
     along = along / np.sqrt(dot(along, along))

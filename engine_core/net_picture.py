@@ -114,6 +114,8 @@ class NetPicture:
         """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
         the nets that there are.
         """
+        if self._by.learn is not None:
+            self._by.learn(map_)
         nobody = np.zeros((self._height, self._width), bool)
         elsewhere = nobody if self._by.elsewhere is None else self._by.elsewhere.T
         # Nothing is between corners on either side of an outline.

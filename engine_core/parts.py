@@ -121,6 +121,7 @@ class OverNet:
     integrand : all of it. points : of the net, a power of two, 16 at least; on average over the picture.
     outlines, elsewhere : as in `OverScreen`. at_outlines : samples of a pixel that an outline crosses, over
         the points that pixels around have.
+    learn : called with a map_ of the workers before any point is asked for; None for nothing.
     """
 
     integrand: StagedIntegrand
@@ -128,6 +129,7 @@ class OverNet:
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None = None
     at_outlines: int = 1
+    learn: Callable[[Map], None] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,20 +272,23 @@ def _of_fog(
         parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
-        guide, each = None, []
+        learn = None
         by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
+        light = ScatteredLight(scattering, rest, choice, check)
         if choice is None and by_net:
             each = [ScatteredLight(scattering, np.array([one]), None, check) for one in rest]
-            guide = Guide.of(each, partial(_pixels, region), region, settings.seed)
-        light = ScatteredLight(scattering, rest, choice, check, guide)
-        for one in each:
-            light.counts.update(one.counts)
+
+            def learn(map_: Map) -> None:
+                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, map_)
+                for one in each:
+                    light.counts.update(one.counts)
+
         # So that errors are least that fall as 1 / samples.
         points = 1 << int(np.log2(LIGHT_POINTS) + np.log2(settings.samples) * 2 / 3)
         narrow = None
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
-        by = OverNet(light, points, and_beams(narrow), elsewhere)
+        by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 

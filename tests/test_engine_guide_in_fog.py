@@ -10,6 +10,7 @@ import pytest
 from scenes import box
 
 from engine_core import Camera, Material, Scene, Settings, Sink, SunLight, Volume, World, render
+from engine_core.integration.mapping import in_order
 from engine_core.parts import parts_of
 from engine_core.transport import guide_in_fog as module
 from engine_core.transport.direct_light import DirectLight
@@ -46,7 +47,8 @@ def room() -> Scene:
 
 def learned(made: Scene, seed: int = 0) -> Guide:
     (part,) = parts_of(made, DirectLight(made), Settings(seed=seed), lambda: None)
-    return part.by.integrand._guide
+    part.by.learn(in_order)
+    return part.by.integrand.guide
 
 
 def test_grids_are_fine_where_pilots_found_much_and_even_where_nothing_is_gained():

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..integration.integrand import StagedIntegrand, values_at
+from ..integration.mapping import Map, in_order
 from ..integration.point_sets import SobolPoints
 from .camera_hits import Pixels
 
@@ -33,6 +34,9 @@ TILES, EDGE = 12, 16
 
 PILOTS, POINTS = 2, 64
 """Along a tile's edge, and points of each."""
+
+TOGETHER = 256
+"""Pilots that a worker takes at once."""
 
 EVERYWHERE = 0.2
 """Part of the density that is the same everywhere."""
@@ -57,9 +61,11 @@ class Guide:
         pixels: Callable[[np.ndarray, np.ndarray], Pixels],
         region: tuple[int, int, int, int],
         seed: int,
+        map_: Map = in_order,
     ) -> Guide:
         """lights : what each of L brings. pixels : in columns and rows (B,) of the whole frame.
-        region : x0, y0, x1, y1."""
+        region : x0, y0, x1, y1. map_ : runs a function over items on workers.
+        """
         size = np.array([region[2] - region[0], region[3] - region[1]])
         edge = max(EDGE, -(-int(size.min()) // TILES))
         columns, rows = -(-size // edge)
@@ -75,11 +81,19 @@ class Guide:
         net = points.points(some.key(), 0, POINTS)
         cell = (net[:DIMENSIONS] * CELLS).astype(np.intp) + tile[:, None] * CELLS
         found = np.zeros((len(lights), DIMENSIONS, columns * rows * CELLS))
-        middle = np.full((2, len(some), 1), 0.5, np.float32)
-        for of_light, light in zip(found, lights, strict=True):
-            u = net[: light.rest_dimensions].reshape(light.rest_dimensions, -1)
-            f = values_at(light, light.first(some, middle), len(some), None, u)[:3]
-            square = np.square(f.sum(axis=0, dtype=np.float64))
+
+        def look(work: tuple[int, slice]) -> np.ndarray:
+            number, part = work
+            light, few = lights[number], some[part]
+            u = net[: light.rest_dimensions, part].reshape(light.rest_dimensions, -1)
+            middle = np.full((2, len(few), 1), 0.5, np.float32)
+            f = values_at(light, light.first(few, middle), len(few), None, u)[:3]
+            return np.square(f.sum(axis=0, dtype=np.float64))
+
+        parts = [slice(low, low + TOGETHER) for low in range(0, len(some), TOGETHER)]
+        work = [(number, part) for number in range(len(lights)) for part in parts]
+        squares = np.concatenate(map_(look, work)).reshape(len(lights), -1)
+        for of_light, square in zip(found, squares, strict=True):
             for row, at in zip(of_light, cell, strict=True):
                 row += np.bincount(at.ravel(), square, len(row))
         found = found.reshape(len(lights), DIMENSIONS, rows, columns, CELLS).transpose(2, 3, 0, 1, 4)

@@ -385,7 +385,10 @@ class Scattered:
 
 
 class ScatteredLight(Scattered):
-    """Light of any lights: one point of a camera ray, and one of each light or of one of many, at a time."""
+    """Light of any lights: one point of a camera ray, and one of each light or of one of many, at a time.
+
+    guide : of these lights, where all are sampled and it is known; None for none.
+    """
 
     def __init__(
         self,
@@ -393,25 +396,23 @@ class ScatteredLight(Scattered):
         lights: np.ndarray,
         choice: FogChoice | None = None,
         check: Callable[[], None] = lambda: None,
-        guide: Guide | None = None,
     ) -> None:
-        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all.
-        guide : of these lights, where all are sampled.
-        """
+        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all."""
         super().__init__(scattering, lights, check)
-        self._choice, self._guide = choice, guide
+        self._choice = choice
+        self.guide: Guide | None = None
         scene = scattering.lights
         self._number = None if len(scene) == 1 else self._lights
         self.rest_dimensions = 4 if choice is not None or scene.chooses_triangle else 3
 
     def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
         rays = super().first(pixels, u)
-        if self._guide is not None:
+        if self.guide is not None:
             places = (
                 (corner[:, None] + at).ravel() for corner, at in zip((pixels.x, pixels.y), u, strict=True)
             )
             places = (at if rays.lane is None else at.take(rays.lane) for at in places)
-            rays.knots = self._guide.knots(*places)
+            rays.knots = self.guide.knots(*places)
         return rays
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -32,8 +32,8 @@ DOUBTFUL = 0.05
 """Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
 smooth lights leave .001 to .04 then, thin occluders .06 to .3."""
 
-OF_ALL, PIXELS = 1 / 64, 2048
-"""Of all samples, for a round of the trial, at most; and pixels, at most."""
+OF_ALL, PIXELS, FEWEST = 1 / 64, 2048, 32
+"""Of all samples, for a round of the trial, at most; pixels, at most, and so many that fewer tell nothing."""
 
 TILES, LOG_BINS = 12, 12
 """Of the picture, in which these pixels lie, at most: to make one ready takes more than to sample it. And
@@ -41,6 +41,9 @@ log2 of a tile's pixels, if regions are no larger."""
 
 PARTS = 4
 """Into which they are split for workers."""
+
+KINDS, NETS = 2, 2
+"""Of samples in each pixel, and nets of each kind."""
 
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
@@ -77,8 +80,11 @@ class Trial:
         """
         self._integrand, self._pixels, self._settings = integrand, pixels, settings
         self._variate, self._tree, self._budget, self._map = variate, tree, budget, map_
-        self._total = float(settings.samples) * float(np.prod(tree.bins))
-        self._tried = self.doubtful = self.beaten = False
+        self._count = 1 << int(np.log2(np.clip(settings.samples / 2, 1, LONGEST)))
+        total = float(settings.samples) * float(np.prod(tree.bins))
+        self._wanted = min(OF_ALL * total / (KINDS * NETS * self._count), PIXELS)
+        self._tried = self._wanted < FEWEST
+        self.doubtful = self.beaten = False
         self.spent = 0
 
     def lost(self, evaluations: int) -> bool:
@@ -108,16 +114,13 @@ class Trial:
     def _deviations(self, variate: ControlVariate, number: int) -> tuple[np.ndarray, np.ndarray]:
         """(P,) of nets of f - h, and of f, in each of a round's pixels."""
         seed, bins = self._settings.seed + 9 + 101 * number, self._tree.bins
-        kinds, nets = 2, 2
-        count = 1 << int(np.log2(np.clip(self._settings.samples / 2, 1, LONGEST)))
-        each = kinds * nets * count
-        wanted = min(OF_ALL * self._total / each, PIXELS)
+        count = self._count
         points = staged_points("sobol", 2, self._integrand.rest_dimensions, 1, seed)
         for group in points:
             group.prepare(count)
         tiles = np.flatnonzero(evenly_spread((len(variate),), max(len(variate) / TILES, 1), seed))
         share = len(tiles) / len(variate)
-        tried = evenly_spread(bins, max(np.prod(bins) * share / wanted, 1), seed)
+        tried = evenly_spread(bins, max(np.prod(bins) * share / self._wanted, 1), seed)
 
         def of_h(number: int) -> tuple[np.ndarray, np.ndarray]:
             tile = variate.tile(number)
@@ -144,17 +147,17 @@ class Trial:
         def of_f(index: np.ndarray) -> np.ndarray:
             if not index.size:
                 return np.zeros(0)
-            pixels = self._pixels(np.tile(index, nets))
+            pixels = self._pixels(np.tile(index, NETS))
             keys = pixels.key()
             keys[index.shape[1] :] ^= SECOND
             sums = sum_samples(self._integrand, pixels, keys, points, 0, count).values[
                 : len(self._tree.store.values)
             ]
-            one, other = np.split(sums / count, nets, axis=1)
+            one, other = np.split(sums / count, NETS, axis=1)
             return np.abs(one - other).sum(axis=0) / np.sqrt(2)
 
         found = self._map(of_h, [int(n) for n in tiles])
         index = np.concatenate([places for places, _ in found], axis=1)
-        self.spent += each * index.shape[1]
+        self.spent += KINDS * NETS * count * index.shape[1]
         plain = self._map(of_f, np.array_split(index, PARTS, axis=1))
         return np.concatenate([deviation for _, deviation in found]), np.concatenate(plain)

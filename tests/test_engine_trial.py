@@ -32,6 +32,7 @@ def test_the_mean_is_right_whether_h_is_given_up_or_not(
 ) -> None:
     monkeypatch.setattr(trial, "BETTER", better)
     monkeypatch.setattr(trial, "SURE", ((0.0, 0.0),))
+    monkeypatch.setattr(trial, "FEWEST", 0)
     films = [render(fence, Settings(samples=4, seed=seed, threads=1)) for seed in range(40)]
     gave_up = {film.statistics["control variate"].startswith("given up") for film in films}
     assert gave_up == {better > 0}
@@ -60,6 +61,13 @@ def test_soft_shadows_keep_h_untried(monkeypatch: pytest.MonkeyPatch) -> None:
     assert film.statistics["control variate"] == "built"
 
 
+def test_where_few_pixels_would_tell_h_is_kept_untried(fence: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "BETTER", 1e9)
+    assert render(fence, Settings(samples=4, seed=1)).statistics["control variate"] == "built"
+    larger = clear(example("fence", 160, 90))
+    assert render(larger, Settings(samples=4, seed=1)).statistics["control variate"].startswith("given up")
+
+
 def test_what_is_uncertain_is_tried_in_more_pixels(fence: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     rounds, pixels = [], []
 
@@ -72,6 +80,7 @@ def test_what_is_uncertain_is_tried_in_more_pixels(fence: Scene, monkeypatch: py
 
     deviations = trial.Trial._deviations
     monkeypatch.setattr(trial.Trial, "_deviations", alike)
+    monkeypatch.setattr(trial, "FEWEST", 0)
     film = render(fence, Settings(samples=16, seed=3, threads=1))
     assert rounds == [0, 1, 2] and film.statistics["control variate"] == "built"
     # 1/64 of the samples: four nets of 8 in each pixel.
@@ -81,5 +90,6 @@ def test_what_is_uncertain_is_tried_in_more_pixels(fence: Scene, monkeypatch: py
 @pytest.mark.parametrize("size", [(1, 1), (5, 3), (16, 9)])
 def test_pictures_of_few_pixels_are_tried_too(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "DOUBTFUL", -1.0)
+    monkeypatch.setattr(trial, "FEWEST", 0)
     film = render(clear(example("fence", *size)), Settings(samples=64, seed=1, threads=2))
     assert np.isfinite(film.combined).all()

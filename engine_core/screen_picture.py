@@ -90,6 +90,9 @@ SPECK = 0.1
 LEAST_OF_BUDGET = 1 / 2
 """How much of what it may spend a picture does, though surfaces deviate more."""
 
+CALM = 0.5
+"""Of the samples that are taken in any case, how many low specks may ask for and no more nodes be wanted."""
+
 DARK = 1 / 16
 """Of that mean, the radiance below which no more is asked for."""
 
@@ -172,7 +175,11 @@ class ScreenPicture:
             self._outline |= self._elsewhere.T
         if log_edge is not None and not self._outline.all():
             tree = RegionTree(bins, 2, log_edge, evaluator, False)
-            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, enough)
+
+            def done() -> bool:
+                return enough() or (not alone and _calm(tree, settings.samples))
+
+            helps = grow(tree, evaluator, budget, total, MOST_REGIONS, done)
             self.regions, self.nodes = len(tree), tree.store.count
             self._left -= min(evaluator.evaluations / SHADOW_RAYS, SHARE * total)
             if helps or alone:
@@ -494,6 +501,14 @@ class ScreenPicture:
             # A mean of n points of a net, that is taken by chance.
             error = self._deviation_learned / np.sqrt(np.maximum(self._due, 1) * self._chance)
             self._layer.standard_error[:] = (error / CHANNELS)[..., None]
+
+
+def _calm(tree: RegionTree, samples: int) -> bool:
+    """Whether samples that all pixels have a chance of, and pilots, are as many as low specks ask for."""
+    regions, middle = tree.leaves(), 3**2 // 2
+    bright = sum(float(regions.volume @ v.take(regions.nodes[:, middle])) for v in tree.store.values)
+    wanted = float(regions.volume @ regions.density) * samples
+    return wanted <= CALM * SPECK * bright * (CHANCE + 1 / PILOT_ONE_IN)
 
 
 def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) -> np.ndarray:

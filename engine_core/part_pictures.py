@@ -148,7 +148,9 @@ class AroundLightsPicture:
             wanted = term.spread * (self._settings.samples / max(bright, float(np.finfo(np.float32).tiny)))
             # What costs more is taken less often.
             wanted = SAMPLES * np.cbrt(np.square(wanted) / term.lights)
-            log = np.rint(np.log2(np.clip(wanted, 2 * term.first, MOST_SAMPLES))).astype(int)
+            # What none of its neighbours found may be there all the same.
+            least = 2 * term.first * self._settings.samples ** (2 / 3)
+            log = np.rint(np.log2(np.clip(wanted, min(least, MOST_SAMPLES), MOST_SAMPLES))).astype(int)
             for n in 1 << np.unique(log):
                 rows = np.flatnonzero(1 << log == n)
                 step = max(1, self._settings.batch_size // int(n))

@@ -178,10 +178,6 @@ class NetPicture:
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
         self._by_fresh = np.zeros((3, *self._corners))
 
-    def brightness(self, rows: slice) -> np.ndarray:
-        """As of `ScreenPicture`."""
-        return self._layer.radiance[rows].sum(axis=2)
-
     def _allocated(self, map_: Map) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two; on average about as many as asked for.
 

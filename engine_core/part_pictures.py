@@ -72,10 +72,6 @@ class SeenPicture:
         map_(draw, range(y0, y1, ROWS))
         layer.control_variate[:] = layer.radiance
 
-    def brightness(self, rows: slice) -> np.ndarray:
-        """As of `ScreenPicture`."""
-        return self._layer.radiance[rows].sum(axis=2)
-
 
 @dataclass(eq=False)
 class _Term:
@@ -186,10 +182,6 @@ class AroundLightsPicture:
                 layer.standard_error[at], (term.spread / term.count / 3)[:, None]
             )
 
-    def brightness(self, rows: slice) -> np.ndarray:
-        """As of `ScreenPicture`."""
-        return self._layer.radiance[rows].sum(axis=2)
-
     def show(self, map_: Map) -> None:
         """Sum all terms up, in one order. map_ : not used."""
         (x0, y0), radiance = self._region[:2], self._layer.radiance
@@ -197,6 +189,7 @@ class AroundLightsPicture:
         for term in self._terms:
             mean = np.clip(term.total / term.count, -LARGEST, LARGEST).T
             radiance[term.block.y - y0, term.block.x - x0] += mean
+        self._layer.residual[:] = radiance
 
     def _prepare(self, count: int) -> None:
         for nets in self._nets.values():

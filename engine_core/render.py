@@ -352,7 +352,7 @@ class _Render:
         beside = None
         if parts and not ended and self._settings.integrator == "control_variates":
             a_sample = None if surfaces is None else surfaces.deviation_a_sample
-            beside = *self._brightness(pool, parts), a_sample
+            beside = *self._brightness(pool), a_sample
         for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
             if isinstance(picture, Refined):
@@ -367,13 +367,14 @@ class _Render:
             self._counts.update(part.counts())
         return ended
 
-    def _brightness(self, pool: Executor, parts: list[Built]) -> tuple[np.ndarray, float]:
+    def _brightness(self, pool: Executor) -> tuple[np.ndarray, float]:
         """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""
         around = np.zeros(self._film.depth.shape, np.float32)
 
         def add(low: int) -> None:
-            for picture, _ in parts:
-                around[low : low + ROWS] += picture.brightness(slice(low, low + ROWS))
+            for layer in self._film.layers[1:]:
+                for term in (layer.control_variate, layer.residual):
+                    around[low : low + ROWS] += np.einsum("yxc->yx", term[low : low + ROWS])
 
         _map_on(pool)(add, range(0, len(around), ROWS))
         bright = float(around.mean(dtype=np.float64))

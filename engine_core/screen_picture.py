@@ -475,10 +475,6 @@ class ScreenPicture:
             both.reshape(9, *u.shape[1:]).transpose(1, 2, 0), self._coefficients.take(region, axis=0)
         )
 
-    def brightness(self, rows: slice) -> np.ndarray:
-        """(h, W) radiance of some rows as it is built, channels summed."""
-        return _summed(self._mean[rows])
-
     def show(self, map_: Map) -> None:
         """Sum both terms of all pixels up."""
 

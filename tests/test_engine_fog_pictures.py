@@ -149,6 +149,13 @@ def test_a_picture_is_the_sum_of_its_layers():
     np.testing.assert_array_equal(film.combined[..., 3], surface[..., 3])
 
 
+@pytest.mark.parametrize("name", ["in the picture", "beam in the picture", "ball", "laser"])
+def test_fogs_control_variate_and_residual_add_up(name):
+    film = render(scene(*LIT[name]), Settings(4))
+    both = film.control_variate + film.residual
+    np.testing.assert_allclose(film.combined[..., :3], both, atol=1e-6, rtol=1e-5)
+
+
 def test_fog_before_what_is_black_is_the_whole_picture():
     film = render(scene(PointLight(300.0, position=OUTSIDE)), Settings(2, depth=True))
     assert np.shares_memory(film.combined, film.layers[1].radiance) and film.volume.any()

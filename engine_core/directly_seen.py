@@ -28,7 +28,7 @@ GROUP = 2
 
 
 class DirectlySeen:
-    """Means over pixels of what needs no light sample.
+    """Means over pixels (W, H) of what needs no light sample.
 
     mean : (3, W, H) radiance. error : (3, W, H) its standard error, about.
     """
@@ -36,24 +36,26 @@ class DirectlySeen:
     def __init__(
         self,
         integrand: DirectLightOverTile,
-        bins: tuple[int, int],
+        of_lights: np.ndarray,
         pixels_at: Callable[[np.ndarray], Pixels],
         seed: int,
         batch: int,
         map_: Map,
-        of_lights: np.ndarray,
+        of_picture: int,
     ) -> None:
-        """pixels_at : index (2, N) -> pixels. batch : rays at once. map_ : over the workers.
+        """of_lights : (W, H) bool, pixels in which a light may be seen. pixels_at : index (2, N) -> pixels.
 
-        of_lights : (W, H) bool, pixels in which a light may be seen.
+        batch : rays at once. map_ : over the workers. of_picture : how many pixels there are, with those
+        that see nothing.
         """
+        bins = of_lights.shape
         self._integrand, self._pixels_at, self._batch, self._map = integrand, pixels_at, batch, map_
         self._points = SobolPoints(range(2), seed, GROUP)
         index = np.indices(bins).reshape(2, -1)
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
         contrast = contrast_around(self.mean, self._at_corners(of_lights))
         rays = np.ones(bins, np.int64)
-        looks = int(min(LOOKS, LOOKS_SHARE * of_lights.size / max(np.count_nonzero(of_lights), 1)))
+        looks = int(min(LOOKS, LOOKS_SHARE * of_picture / max(np.count_nonzero(of_lights), 1)))
         if looks > 1 and of_lights.any():
             # What is thinner than a pixel no neighbour sees.
             own = self._differ(index[:, of_lights.ravel()], looks, seed)
@@ -61,7 +63,7 @@ class DirectlySeen:
             rays[of_lights] = looks
         # The mean of all others, for the same reason.
         total = self.mean.mean(axis=0)
-        others = (total.sum() - total) / max(total.size - 1, 1)
+        others = (total.sum() - total) / max(of_picture - 1, 1)
         for step, count in STEPS:
             rays[contrast.max(axis=0) > step * others + 1e-30] = count
         for count in np.unique(rays[rays > 1]):

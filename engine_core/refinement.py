@@ -161,11 +161,23 @@ class ControlVariatePicture:
             eye = DirectLightOverTile(self._direct_light, None, self._check)
             eye.counts = self.integrand.counts
             settings = self._settings
-            of_lights = self._direct_light.stage.images_of_lights((*self._corner, *self._bins))
-            seen = DirectlySeen(
-                eye, self._bins, self._pixels, settings.seed + 1, settings.batch_size, map_, of_lights
-            )
-            self._first, self._first_error = seen.mean, seen.error
+            stage = self._direct_light.stage
+            of_lights = stage.images_of_lights((*self._corner, *self._bins))
+            where = slice(None), slice(None)
+            if not stage.sees_elsewhere:
+                where = tuple(_extent(of_lights.any(axis=1 - axis)) for axis in (0, 1))
+            corner = np.array([[part.start or 0] for part in where])
+            if of_lights[where].size:
+                seen = DirectlySeen(
+                    eye,
+                    of_lights[where],
+                    lambda index: self._pixels(index + corner),
+                    settings.seed + 1,
+                    settings.batch_size,
+                    map_,
+                    of_lights.size,
+                )
+                self._first[:, *where], self._first_error[:, *where] = seen.mean, seen.error
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
@@ -384,6 +396,12 @@ class ControlVariatePicture:
         )
         error = np.hypot(error.reshape(-1, *self._bins), self._first_error)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
+
+
+def _extent(some: np.ndarray) -> slice:
+    """From the first to the last of ``some`` (N,) bool."""
+    index = np.flatnonzero(some)
+    return slice(int(index[0]), int(index[-1]) + 1) if len(index) else slice(0, 0)
 
 
 def obstacles(integrand: DirectLight) -> str:

@@ -92,6 +92,7 @@ class CameraStage:
     dimensions : 2 of a pixel, and 2 of a lens.
     channels : of the values. transparent : whether alpha can be less than 1.
     sees : whether a camera ray may find radiance without a light sample.
+    sees_elsewhere : whether it may outside of `images_of_lights`, too.
     """
 
     def __init__(
@@ -132,8 +133,10 @@ class CameraStage:
         self._emission = np.maximum([m.emission for m in materials], 0).astype(np.float32).T.copy()
         used = np.unique(surfaces.triangles.material)
         self._emits = bool(self._emission[:, used].any())
-        self.sees = self._emits or bool(shader.emits.any() or self._background.any()) or self._lights_seen
-        self.sees = self.sees or (media is not None and media.emits)
+        glows = self._emits or bool(shader.emits.any() or self._background.any())
+        glows = glows or (media is not None and media.emits)
+        self.sees = glows or self._lights_seen
+        self.sees_elsewhere = glows or any(group.centre is None and group.any_visible for group in emitters)
 
     def hit(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""

@@ -148,15 +148,17 @@ class NetPicture:
 
     def _finish_round(self, map_: Map, outline: np.ndarray, elsewhere: np.ndarray) -> None:
         """Correct what the net has in common, and sample pixels (H, W) bool that an ``outline`` crosses."""
-        map_(self._correct, self._levels)
+        off = {count: self._off(count) for count in self._levels}
+        map_(lambda tile: self._correct(tile, off), range(self._tiles[0]))
         count_of = self._of_pixels(self._counts)
+        work = []
         for count in self._levels:
             of_tile = ~elsewhere & (count_of == count)
             # One point of each camera ray, where these differ most: all dimensions are one net then.
             index, cameras = np.flatnonzero(outline & of_tile), self._by.at_outlines * count
-            step = max(1, 4 * BATCH // cameras)
-            parts = [index[low : low + step] for low in range(0, len(index), step)]
-            map_(self._sample, [(part, cameras) for part in parts])
+            step = max(1, BATCH // cameras)
+            work += [(index[low : low + step], cameras) for low in range(0, len(index), step)]
+        map_(self._sample, work)
 
     def _prepare(self, number: int) -> None:
         """Nets of one round."""
@@ -410,25 +412,37 @@ class NetPicture:
         by_chance = np.square(change.mean(axis=1)) * (1 - likely / SURE)
         return np.stack([np.bincount(lane, a, len(x)) for a in (*change.T, by_chance)])
 
-    def _correct(self, count: int) -> None:
-        """Take off what the net's first ``count`` points are wrong by in the tiles that have as many, as nets
-        of their own tell at all corners around for which that is known.
+    def _off(self, count: int) -> np.ndarray:
+        """(3, rows, columns) what the net's first ``count`` points are wrong by at the corners, as nets of
+        their own tell at all corners around for which that is known.
         """
         off = self._by_fresh - self._means[count]
         known = np.isfinite(off)
         off[~known] = 0
-        sums = (
+        off, weight = (
             _sum_around(_sum_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
         )
-        off, weight = sums
         off /= np.maximum(weight, 1e-9)
-        y, x = np.nonzero(self._served & (self._of_pixels(self._counts) == count))
-        row, column = y // CELL, x // CELL
-        inner, size = self._in_cells(x, y)
-        corners = _corners_of(row, column, self._corners[1])
-        change = _between(off.reshape(3, -1), corners, inner, size).T
+        return off
+
+    def _correct(self, tile: int, off: dict[int, np.ndarray]) -> None:
+        """Take ``off`` what the net is wrong by with as many points as it has, in a row of tiles."""
+        low, high = (min((tile + i) * TILE * CELL, self._height) for i in (0, 1))
+        part = slice(low, high)
+        y, x = np.arange(low, high), np.arange(self._width)
+        (x_in, y_in), (x_size, y_size) = self._in_cells(x, y)
+        across, down = (x_in + 0.5) / x_size, ((y_in + 0.5) / y_size)[:, None]
+        count_of = self._counts[tile].repeat(TILE * CELL)[: self._width]
+        change = np.zeros((3, high - low, self._width))
+        for count in np.unique(self._counts[tile]).tolist():
+            rows = off[count][:, low // CELL : -(-high // CELL) + 1]
+            j, i = y // CELL - low // CELL, x // CELL
+            rows = rows.take(j, axis=1) * (1 - down) + rows.take(j + 1, axis=1) * down
+            found = rows.take(i, axis=2) * (1 - across) + rows.take(i + 1, axis=2) * across
+            np.copyto(change, found, where=count_of == count)
+        change *= self._served[part]
         for term in (self._layer.radiance, self._layer.control_variate):
-            _add(term, y * self._width + x, change)
+            term[part] += change.transpose(1, 2, 0)
 
     def _in_cells(
         self, x: np.ndarray, y: np.ndarray

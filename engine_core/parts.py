@@ -36,9 +36,10 @@ from .transport.ray_rule import (
     ScatteredAlongRay,
     nodes_and_checks,
 )
+from .transport.scattered_light import ScatteredLight
 from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
-from .transport.single_scattering import ScatteredLight, SingleScattering
+from .transport.single_scattering import SingleScattering
 
 Region = tuple[int, int, int, int]
 

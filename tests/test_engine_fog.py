@@ -27,7 +27,8 @@ from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.fog_lanes import FogSegments
 from engine_core.transport.ray_rule import AlongRay, PointsOfRay, ScatteredAlongRay
-from engine_core.transport.single_scattering import ScatteredLight, SingleScattering
+from engine_core.transport.scattered_light import ScatteredLight
+from engine_core.transport.single_scattering import SingleScattering
 
 EDGE = 32
 WHITE = (Material(),)

@@ -35,8 +35,8 @@ from engine_core.transport.around_light import Block, lit_angles, peaks, polar, 
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.ray_rule import ScatteredAlongRay
+from engine_core.transport.scattered_light import in_cone
 from engine_core.transport.silhouettes import silhouettes
-from engine_core.transport.single_scattering import in_cone
 
 CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
 FOG = Volume(scattering=0.12, absorption=0.02, anisotropy=0.3)

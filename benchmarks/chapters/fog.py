@@ -22,7 +22,8 @@ from engine_core.settings import DISTANCE_SAMPLING
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.laser_in_fog import LaserInFog
 from engine_core.transport.lasers import Lasers
-from engine_core.transport.single_scattering import ScatteredLight, SingleScattering
+from engine_core.transport.scattered_light import ScatteredLight
+from engine_core.transport.single_scattering import SingleScattering
 
 from ..method_figures import Canvas
 from .common import (

@@ -24,9 +24,9 @@ from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..integration.sobol import hash_combine, unit_float
 from . import phase
+from .fog_rays import FogRays
 from .light_samples import SceneLights
 from .media import Media
-from .single_scattering import FogRays
 
 POINT, SPOT, SUN = range(3)
 """Kinds of lights."""

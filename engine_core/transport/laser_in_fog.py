@@ -20,6 +20,7 @@ import numpy as np
 from ..geometry.vectors import take
 from . import phase
 from .direct_light import CROSSING, SHADOW
+from .fog_rays import FogRays
 from .laser_maps import (
     Passage,
     along_beam,
@@ -29,7 +30,7 @@ from .laser_maps import (
 )
 from .lasers import DEEPEST, Lasers, Stretch, halves
 from .media import Media
-from .single_scattering import FogRays, Scattered, SingleScattering, run
+from .single_scattering import Scattered, SingleScattering, run
 
 INSET = np.float32(1e-5)
 """Of a shadow ray, at either end: both may lie on a surface."""

@@ -27,11 +27,12 @@ from ..geometry.warps import basis
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
+from .fog_rays import FogRays
 from .laser_in_fog import RaySegments
 from .laser_on_surfaces import Reflection, Towards
 from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered
 from .shadows import Shadows
-from .single_scattering import FogRays, SingleScattering
+from .single_scattering import SingleScattering
 
 WIDE = 1.0
 """Pixels, above which a cylinder's image is sampled as all else is."""

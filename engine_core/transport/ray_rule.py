@@ -23,7 +23,8 @@ from ..integration.rules import gauss
 from .around_light import Tamed
 from .direct_light import SHADOW
 from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, FogSegments, Lanes, TowardsSuns
-from .single_scattering import FogRays, Scattered, SingleScattering
+from .fog_rays import FogRays
+from .single_scattering import Scattered, SingleScattering
 
 NODES, NODES_OF_SPOTS = 33, 17
 """Where visibility is asked for in a lane, which of spots is in their cones: what is thinner than a step may

@@ -17,7 +17,7 @@ from .integration.point_sets import SobolPoints
 from .transport.direct_light import RGB, DirectLightOverTile, Pixels
 
 STEPS = ((0.02, 16), (0.3, 64), (3.0, 256), (30.0, 1024))
-"""Contrast among the neighbours, over the mean of what is seen, above which a pixel gets so many rays."""
+"""Contrast among the neighbours, over the picture's mean, above which a pixel gets so many rays."""
 
 LOOKS, LOOKS_SHARE = 16, 1 / 4
 """Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and how many in
@@ -42,11 +42,12 @@ class DirectlySeen:
         batch: int,
         map_: Map,
         of_picture: int,
+        beside: float = 0.0,
     ) -> None:
         """of_lights : (W, H) bool, pixels in which a light may be seen. pixels_at : index (2, N) -> pixels.
 
         batch : rays at once. map_ : over the workers. of_picture : how many pixels there are, with those
-        that see nothing.
+        that see nothing. beside : mean radiance of all else that the picture shows.
         """
         bins = of_lights.shape
         self._integrand, self._pixels_at, self._batch, self._map = integrand, pixels_at, batch, map_
@@ -64,8 +65,9 @@ class DirectlySeen:
         # The mean of all others, for the same reason.
         total = self.mean.mean(axis=0)
         others = (total.sum() - total) / max(of_picture - 1, 1)
+        bright = others + beside
         for step, count in STEPS:
-            rays[contrast.max(axis=0) > step * others + 1e-30] = count
+            rays[contrast.max(axis=0) > step * bright + 1e-30] = count
         for count in np.unique(rays[rays > 1]):
             where = np.flatnonzero(rays.ravel() == count)
             # The first ray is the net's first point, and stays.

@@ -117,7 +117,7 @@ class ControlVariatePicture:
             return False
         expected = int(budget / evaluator.cost)
         tree = RegionTree(bins, self.covered, log_edge, evaluator, False, map_=map_, expected=expected)
-        self._see(map_)
+        self._see(_mean(tree), map_)
         trial = Trial(
             self.integrand,
             self._pixels,
@@ -154,8 +154,8 @@ class ControlVariatePicture:
             self._allocate(map_)
         return True
 
-    def _see(self, map_: Map) -> None:
-        """What camera rays see by themselves is integrated apart from what is reflected."""
+    def _see(self, reflected: float, map_: Map) -> None:
+        """What camera rays see by themselves is integrated apart from what is ``reflected``, in the mean."""
         self._first, self._first_error = np.zeros((2, CHANNELS, *self._bins))
         if self._direct_light.sees:
             eye = DirectLightOverTile(self._direct_light, None, self._check)
@@ -176,6 +176,7 @@ class ControlVariatePicture:
                     settings.batch_size,
                     map_,
                     of_lights.size,
+                    reflected,
                 )
                 self._first[:, *where], self._first_error[:, *where] = seen.mean, seen.error
 
@@ -396,6 +397,14 @@ class ControlVariatePicture:
         )
         error = np.hypot(error.reshape(-1, *self._bins), self._first_error)
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(2, 1, 0)
+
+
+def _mean(tree: RegionTree) -> float:
+    """What a tree's polynomials are in the mean, about; of a channel."""
+    regions = tree.leaves()
+    middle = regions.nodes.shape[1] // 2
+    means = [float(regions.volume @ v.take(regions.nodes[:, middle])) for v in tree.store.values]
+    return max(sum(means) / len(means), 0.0)
 
 
 def _extent(some: np.ndarray) -> slice:

@@ -16,8 +16,17 @@ from .integration.mapping import Map
 from .integration.point_sets import SobolPoints
 from .transport.direct_light import RGB, DirectLightOverTile, Pixels
 
-STEPS = ((0.02, 16), (0.3, 64), (3.0, 256), (30.0, 1024))
-"""Contrast among the neighbours, over the picture's mean, above which a pixel gets so many rays."""
+OF_EDGE = 0.365
+"""Error by a ray of a pixel that an edge crosses, in units of its contrast; n of a net have n^-3/4 of it."""
+
+PRECISE = 0.01
+"""Error that is wanted, of the picture's mean radiance, with one sample a pixel; with n, n^-3/4 of it."""
+
+RAYS = 1.0
+"""Of each pixel for each of `Settings.samples`, on average, at most."""
+
+MOST = 1 << 14
+"""Rays of a pixel, at most."""
 
 LOOKS, LOOKS_SHARE = 16, 1 / 4
 """Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and how many in
@@ -41,20 +50,21 @@ class DirectlySeen:
         seed: int,
         batch: int,
         map_: Map,
+        samples: int,
         of_picture: int,
         beside: float = 0.0,
     ) -> None:
         """of_lights : (W, H) bool, pixels in which a light may be seen. pixels_at : index (2, N) -> pixels.
 
-        batch : rays at once. map_ : over the workers. of_picture : how many pixels there are, with those
-        that see nothing. beside : mean radiance of all else that the picture shows.
+        batch : rays at once. map_ : over the workers. samples : as in `Settings`. of_picture : how many
+        pixels there are, with those that see nothing. beside : mean radiance of all else that is shown.
         """
         bins = of_lights.shape
         self._integrand, self._pixels_at, self._batch, self._map = integrand, pixels_at, batch, map_
         self._points = SobolPoints(range(2), seed, GROUP)
         index = np.indices(bins).reshape(2, -1)
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
-        contrast = contrast_around(self.mean, self._at_corners(of_lights))
+        contrast = contrast_beside(self.mean, self._at_corners(of_lights))
         rays = np.ones(bins, np.int64)
         looks = int(min(LOOKS, LOOKS_SHARE * of_picture / max(np.count_nonzero(of_lights), 1)))
         if looks > 1 and of_lights.any():
@@ -62,20 +72,32 @@ class DirectlySeen:
             own = self._differ(index[:, of_lights.ravel()], looks, seed)
             contrast[:, of_lights] = np.maximum(contrast[:, of_lights], own)
             rays[of_lights] = looks
-        # The mean of all others, for the same reason.
-        total = self.mean.mean(axis=0)
-        others = (total.sum() - total) / max(of_picture - 1, 1)
-        bright = others + beside
-        for step, count in STEPS:
-            rays[contrast.max(axis=0) > step * bright + 1e-30] = count
+        rays = np.maximum(rays, self._shared(contrast.max(axis=0), samples, of_picture, beside))
         for count in np.unique(rays[rays > 1]):
             where = np.flatnonzero(rays.ravel() == count)
             # The first ray is the net's first point, and stays.
             more = self._rays(index[:, where], 1, int(count) - 1)
             first = self.mean.reshape(3, -1)[:, where]
             self.mean.reshape(3, -1)[:, where] = (first + (count - 1) * more) / count
-        # An edge across a pixel is integrated by n points of a net with 0.365 n^-3/4 of its contrast.
-        self.error = 0.365 * contrast * rays**-0.75
+        self.error = OF_EDGE * contrast * rays**-0.75
+
+    def _shared(self, contrast: np.ndarray, samples: int, of_picture: int, beside: float) -> np.ndarray:
+        """(W, H) rays of pixels, powers of two, by which the picture's error is the least."""
+        rays, seen = np.ones(contrast.shape, np.int64), self.mean.mean(axis=0)
+        black = np.indices(contrast.shape).sum(axis=0) % 2 == 0
+        # As of a chessboard: what is not a pixel's own colour alone tells how many rays it has.
+        for which in (black, ~black):
+            share, pixels = contrast[which] ** 0.8, max(of_picture / 2, 1)
+            bright = max(seen[~which].sum() / pixels + beside, 1e-30)
+            total = float(share.sum())
+            if not total > 0:
+                continue
+            # By c^0.8 k rays in each pixel, the sum of squared errors is OF_EDGE^2 k^-1.5 sum(c^0.8).
+            wanted = PRECISE * samples**-0.75 * bright
+            k = (OF_EDGE**2 * total / (pixels * wanted**2)) ** (2 / 3)
+            k = min(k, RAYS * samples * pixels / total)
+            rays[which] = np.exp2(np.rint(np.log2(np.clip(k * share, 1, MOST)))).astype(np.int64)
+        return rays
 
     def _at_corners(self, pixels: np.ndarray) -> np.ndarray:
         """(3, W + 1, H + 1) what rays at the corners of ``pixels`` (W, H) see, NaN at others."""
@@ -120,31 +142,21 @@ class DirectlySeen:
         return np.concatenate(self._map(look, range(0, index.shape[1], width)), axis=1)
 
 
-def contrast_around(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(C, W, H) difference between the largest and the least of each pixel's eight neighbours, and corners.
+def contrast_beside(values: np.ndarray, corners: np.ndarray | None = None) -> np.ndarray:
+    """(C, W, H) difference between the largest and the least of the four that share an edge with each pixel,
+    and of its corners.
 
     corners : (C, W + 1, H + 1), NaN where they are unknown.
     """
-    around = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1)]
-    return _contrast(values, around, corners)
-
-
-def contrast_beside(values: np.ndarray) -> np.ndarray:
-    """The same of the four that share an edge with it."""
-    return _contrast(values, [(0, 1), (2, 1), (1, 0), (1, 2)])
-
-
-def _contrast(
-    values: np.ndarray, around: list[tuple[int, int]], corners: np.ndarray | None = None
-) -> np.ndarray:
-    """around : which of 3 x 3 pixels."""
+    around = [(0, 1), (2, 1), (1, 0), (1, 2)]
     width, height = values.shape[1:]
 
     def over_neighbours(choose: np.ufunc, beyond: float) -> np.ndarray:
         padded = np.pad(values, [(0, 0), (1, 1), (1, 1)], constant_values=beyond)
-        chosen = padded[:, :width, :height].copy()
-        for x, y in around:
-            choose(chosen, padded[:, x : x + width, y : y + height], out=chosen)
+        chosen, *others = (padded[:, x : x + width, y : y + height] for x, y in around)
+        chosen = chosen.copy()
+        for other in others:
+            choose(chosen, other, out=chosen)
         if corners is not None:
             known = np.where(np.isnan(corners), beyond, corners)
             for x, y in np.ndindex(2, 2):

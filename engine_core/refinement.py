@@ -175,6 +175,7 @@ class ControlVariatePicture:
                     settings.seed + 1,
                     settings.batch_size,
                     map_,
+                    settings.samples,
                     of_lights.size,
                     reflected,
                 )

@@ -33,9 +33,9 @@ def test_a_lamp_within_a_pixel_is_seen_by_every_seed():
     about = np.zeros((SIZE, SIZE), bool)
     about[4, 3] = True
     for seed in range(20):
-        seen = DirectlySeen(Dot(), about, pixels_at, seed, 1 << 12, lambda f, a: [*map(f, a)], about.size)
+        seen = DirectlySeen(Dot(), about, pixels_at, seed, 1 << 12, lambda f, a: [*map(f, a)], 32, about.size)
         mean = RADIANCE * np.pi * RADIUS**2
-        # Of 1024 points of a net.
+        # Of a thousand points of a net.
         assert np.allclose(seen.mean[:, 4, 3], mean, rtol=0.1)
         assert seen.mean.sum() == seen.mean[:, 4, 3].sum()
 

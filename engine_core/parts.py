@@ -270,7 +270,11 @@ def _of_fog(
             None if many else elsewhere,
             tuple(beams.values()),
         )
-        parts.append(Part("fog lit by points", VOLUME, ScatteredLight(scattering, bare, None, check), 1, by))
+        plain = ScatteredLight(scattering, bare, None, check)
+        if settings.integrator == "control_variates" and scattering.screen_dimensions > 2:
+            # A lens' rays differ; but a camera ray is worth a few points.
+            plain = by.alone
+        parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
         learn = None

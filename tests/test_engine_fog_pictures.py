@@ -68,10 +68,17 @@ LIT = {
 }
 
 
-@pytest.mark.parametrize("name", LIT)
-def test_pictures_of_fog_are_unbiased(name):
+LENS = {"aperture": 0.4, "focus_distance": 5.0}
+
+
+@pytest.mark.parametrize(
+    "name, lens",
+    [*((name, {}) for name in LIT), ("point", LENS), ("in the picture", LENS), ("narrow beam", LENS)],
+)
+def test_pictures_of_fog_are_unbiased(name, lens):
     """The mean over seeds, of the whole picture and of its quarters, is that of plain samples."""
     made = scene(*LIT[name])
+    made = replace(made, camera=replace(made.camera, **lens))
 
     def quarters(film):
         picture = film.volume + film.laser

@@ -20,6 +20,7 @@ from .settings import Settings
 from .transport.around_light import AroundLight, Block, Wedge, blocks, lit_angles, peaks, tamed, wedges
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
+from .transport.glow_in_fog import ScatteredGlow
 from .transport.guide_in_fog import Guide
 from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
@@ -193,6 +194,10 @@ def parts_of(
             settings,
         )
         parts += _of_fog(scattering, scene.camera.region, outlines, settings, check)
+        if surfaces.media.emits and surfaces.media.scattering.any():
+            glow = ScatteredGlow(scattering, surfaces.shadows, check)
+            by = OverNet(glow, _points_of_lights(settings.samples), outlines)
+            parts.append(Part("fog lit by fog", VOLUME, glow, 1, by))
     # Their fog is their own business.
     shadows = Shadows(surfaces.surfaces, surfaces.shader, settings.transparent_bounces)
     lasers = Lasers.of(scene, surfaces.frame, surfaces.media, shadows)
@@ -288,14 +293,18 @@ def _of_fog(
                 for one in each:
                     light.counts.update(one.counts)
 
-        # So that errors are least that fall as 1 / samples.
-        points = 1 << int(np.log2(LIGHT_POINTS) + np.log2(settings.samples) * 2 / 3)
         narrow = None
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
+        points = _points_of_lights(settings.samples)
         by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
+
+
+def _points_of_lights(samples: int) -> int:
+    """Points of the net of lights with a size: so many that errors are least that fall as 1 / samples."""
+    return 1 << int(np.log2(LIGHT_POINTS) + np.log2(samples) * 2 / 3)
 
 
 def _of_lasers(

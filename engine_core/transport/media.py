@@ -256,13 +256,17 @@ class Media:
         return ray, start, until, within, state
 
     def seen(
-        self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        end: float | np.ndarray,
+        inside: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Transmittance (3, N) of rays to their ends, and what media emit on the way (3, N), None for 0."""
         if self.emits:
-            media = self.along(origins, directions, end)
+            media = self.along(origins, directions, end, inside)
             return self.transmittance(media.total), media.emission
-        return self.transmittance(self.optical_depth(origins, directions, end)), None
+        return self.transmittance(self.optical_depth(origins, directions, end, inside)), None
 
     @staticmethod
     def transmittance(depth: np.ndarray) -> np.ndarray:

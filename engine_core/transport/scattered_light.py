@@ -9,7 +9,6 @@ the distance, and `ray_rule` integrates that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,22 +30,10 @@ from .fog_rays import FogRays
 from .guide_in_fog import DIMENSIONS, Guide, stretched
 from .light_choice_in_fog import FogChoice, segments
 from .media import RayMedia
-from .single_scattering import Scattered, SingleScattering, run
+from .single_scattering import Places, Scattered, SingleScattering, run
 
 _STEPS = 8
 """Of the table by which "auto" follows extinction and phase function between a light's angles."""
-
-
-@dataclass(eq=False)
-class _Places:
-    """P segments ``row``, chosen with ``chance`` (P,), and what that left of their dimension, u (P, S)."""
-
-    row: np.ndarray
-    u: np.ndarray
-    chance: np.ndarray
-
-    def take(self, rows: np.ndarray) -> _Places:
-        return _Places(self.row.take(rows), self.u.take(rows, axis=0), self.chance.take(rows))
 
 
 def in_cone(
@@ -164,54 +151,8 @@ class ScatteredLight(Scattered):
     def _cells(rays: FogRays, ray: np.ndarray) -> np.ndarray | None:
         return None if rays.cell is None else rays.cell.take(ray)
 
-    def _segment(self, rays: FogRays, ray: np.ndarray, light: np.ndarray | None, u: np.ndarray) -> _Places:
-        """A segment of each ray (P,), for lights (P,) or any, by u (P, S); (P, 1) if there are several."""
-        row = rays.first.take(ray)
-        if len(rays.media.ray) == len(rays):
-            return _Places(row, u.astype(np.float64), np.ones(len(ray)))
-        rows, pair = rays.segments(ray)
-        media, scattering = rays.media, self._scattering
-        mixture = media.mixture.take(rows)
-        sigma = scattering.thinnest.take(mixture)
-        length = within_depth(sigma, (media.end - media.start).take(rows))
-        weight = length / (1 + sigma * length)
-        if light is not None:
-            foot, distance, finite = self._around(rays, ray.take(pair), light.take(pair), rows)
-            weight = np.where(finite, EquiAngular(foot, distance, length).weight, weight)
-        weight *= scattering.media.scattering.mean(axis=(0, 1)).take(mixture)
-        weight *= np.exp(-media.depth.min(axis=0).take(rows).astype(np.float64))
-        total = np.bincount(pair, weight, len(ray))
-        number = np.bincount(pair, minlength=len(ray))
-        # A part of the chances is the same for all segments, whatever is known of them.
-        weight = 0.95 * weight / np.where(total > 0, total, 1).take(pair)
-        weight += np.where(total > 0, 0.05, 1).take(pair) / number.take(pair)
-        upper = np.cumsum(weight)
-        start = np.cumsum(number) - number
-        base = (upper - weight).take(start)
-        upper = np.minimum(pair + (upper - base.take(pair)), pair + 1)
-        chosen = np.searchsorted(upper, np.arange(len(ray)) + u[:, 0].astype(np.float64), side="right")
-        chosen = np.clip(chosen, start, start + number - 1)
-        chance = weight.take(chosen)
-        left = u[:, 0] - (upper.take(chosen) - np.arange(len(ray)) - chance)
-        return _Places(rows.take(chosen), np.clip(left / chance, 0, 1)[:, None], chance)
-
-    def _around(
-        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, row: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Feet of lights (P,) on rays (P,) from the start of segments ``row`` on, how far they are, softened
-        by the lights' size, and which of them are at a finite distance."""
-        lights = self._scattering.lights
-        reach = lights.reach.take(light)
-        direction = take(rays.direction, ray)
-        vector = take(lights.centre, light) - take(rays.origin, ray)
-        foot = dot(vector, direction)
-        vector -= foot * direction
-        finite = np.isfinite(reach)
-        reach = np.where(finite, reach, 0)
-        return foot - rays.media.start.take(row), np.sqrt(dot(vector, vector) + reach * reach), finite
-
     def _distances(
-        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, place: _Places
+        self, rays: FogRays, ray: np.ndarray, light: np.ndarray, place: Places
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Distances (P, S) in segments, and densities (P, S), of each technique that is summed."""
         scattering, media = self._scattering, rays.media

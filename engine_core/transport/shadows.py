@@ -97,10 +97,15 @@ class Shadows:
             ray, reach, directions = ray.take(on), (reach - distance).take(on), directions.take(on, axis=0)
         return part, rays
 
-    def glow(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(3, K) radiance of glowing fog that rays (K, 3) see before something opaque."""
+    def glow(
+        self, origins: np.ndarray, directions: np.ndarray, inside: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(3, K) radiance of glowing fog that rays (K, 3) see before something opaque.
+
+        inside : (K,) as `Media` have it, the bodies in which rays begin; None if unknown.
+        """
         end = self._surfaces.blocked_at(origins, directions, FAR)
-        radiance = self._media.seen(origins, directions, end)[1]
+        radiance = self._media.seen(origins, directions, end, inside)[1]
         if not self._surfaces.any_transparent:
             return radiance
         # Behind each layer the light is what the whole ray's is less what lies before it.
@@ -114,7 +119,9 @@ class Shadows:
             if ray.size == 0:
                 break
             along = directions.take(ray, axis=0)
-            behind = take(radiance, ray) - self._media.seen(origins.take(ray, axis=0), along, start)[1]
+            bodies = None if inside is None else inside.take(ray)
+            before = self._media.seen(origins.take(ray, axis=0), along, start, bodies)[1]
+            behind = take(radiance, ray) - before
             left = np.zeros_like(part)
             if crossing < self._most:
                 left = np.minimum(part * self._shader.transparency(points, -along.T), LARGEST)

@@ -146,7 +146,7 @@ def main() -> None:
             cell, options.edge, options.samples, options.seeds, options.cycles_samples, options.cycles_seeds
         ):
             off = ratio.mean - 1
-            sure, far = abs(off) > sigmas * ratio.error, abs(off) > LIMIT
+            sure, far = bool(abs(off) > sigmas * ratio.error), abs(off) > LIMIT
             told.append(f"{100 * off:+.3f} ± {100 * ratio.error:.3f}{' !' if sure and far else ' ?' * sure}")
         print(f"| {cell.light} | {cell.fog} | {cell.g:g} | {cell.depth:g} | {' | '.join(told)} |", flush=True)
 

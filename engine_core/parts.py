@@ -63,8 +63,9 @@ RAYS_OF_MANY = 20, 12, 9
 """Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
 each."""
 
-LIGHT_POINTS = 16
-"""Of the net of lights with a size, in fog, in a picture of one sample."""
+LIGHT_POINTS, GLOW_POINTS = 16, 32
+"""Of the net of lights with a size, in fog, in a picture of one sample; and of that of glowing fog, whose
+points are in a direction and not on a light, of which they know where it is."""
 
 FOG_POINTS, SURFACE_POINTS = 32, 16
 """Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
@@ -196,7 +197,7 @@ def parts_of(
         parts += _of_fog(scattering, scene.camera.region, outlines, settings, check)
         if surfaces.media.emits and surfaces.media.scattering.any():
             glow = ScatteredGlow(scattering, surfaces.shadows, check)
-            by = OverNet(glow, _points_of_lights(settings.samples), outlines)
+            by = OverNet(glow, _growing(GLOW_POINTS, settings.samples), outlines)
             parts.append(Part("fog lit by fog", VOLUME, glow, 1, by))
     # Their fog is their own business.
     shadows = Shadows(surfaces.surfaces, surfaces.shader, settings.transparent_bounces)
@@ -296,15 +297,15 @@ def _of_fog(
         narrow = None
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
-        points = _points_of_lights(settings.samples)
+        points = _growing(LIGHT_POINTS, settings.samples)
         by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 
 
-def _points_of_lights(samples: int) -> int:
-    """Points of the net of lights with a size: so many that errors are least that fall as 1 / samples."""
-    return 1 << int(np.log2(LIGHT_POINTS) + np.log2(samples) * 2 / 3)
+def _growing(of_one: int, samples: int) -> int:
+    """Points of a net, ``of_one`` for one sample: so many that errors are least that fall as 1 / samples."""
+    return 1 << int(np.log2(of_one) + np.log2(samples) * 2 / 3)
 
 
 def _of_lasers(

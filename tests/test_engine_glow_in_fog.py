@@ -55,7 +55,7 @@ PLATE = np.array([(-0.9, -0.9, 0.35), (0.5, -0.9, 0.35), (0.5, 0.9, 0.35), (-0.9
 
 
 def along(origin: np.ndarray, direction: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What blocks emit (N, 3) that arrives along rays (N, 3), and their optical depth (N, 3) to ``end`` (N,)."""
+    """What arrives of blocks' glow along rays (N, 3), and the optical depth, (N, 3) each, to ``end`` (N,)."""
     inside = np.minimum([spans(*np.array(block, float), origin, direction) for block in BLOCKS], end)
     cuts = np.sort(inside.reshape(-1, len(direction)), axis=0)
     depth, light = np.zeros((2, len(direction), 3))

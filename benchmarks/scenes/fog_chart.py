@@ -11,6 +11,7 @@ import numpy as np
 
 LIGHTS = (
     "point", "spot", "sphere", "rectangle", "disk", "sun", "sun without size", "mesh", "world", "world image",
+    "glow",
 )  # fmt: skip
 FOGS = ("world", "box", "ball", "overlapping", "camera inside")
 ANISOTROPIES = (-0.8, 0.0, 0.8)
@@ -45,7 +46,7 @@ class Cell:
 def cells() -> list[Cell]:
     """Every light in every fog, so that each also meets each anisotropy and depth, and these each other.
 
-    Nothing comes through a world of fog from infinity: these four are left out.
+    Nothing comes through a world of fog from infinity: these four are left out. "glow" is the fog's own.
     """
     return [
         Cell(light, fog, ANISOTROPIES[(i + 2 * j) % 3], DEPTHS[(i + j) % 4])
@@ -66,10 +67,11 @@ def build(cell: Cell) -> None:
     studio.place("Plate", studio.mesh("Plate", plate, np.array([(0, 1, 2, 3)]), sand))
     studio.place("Ball", studio.ball("Ball", 0.3, blue, cells=6), (0.3, -0.1, -0.2))
     _add_light(scene, cell.light)
+    glow = 0.5 if cell.light == "glow" else 0.0
     if cell.fog == "world":
-        _fill(scene.world, cell.extinction, cell.g)
+        _fill(scene.world, cell.extinction, cell.g, glow)
     else:
-        fog = _medium("Fog", cell.extinction, cell.g)
+        fog = _medium("Fog", cell.extinction, cell.g, glow)
         shape = {
             "box": shapes.block((-1, -1, -1), (1, 1, 1)),
             "ball": shapes.ball(1.1),
@@ -113,7 +115,7 @@ def _add_light(scene: Any, name: str) -> None:
     elif name == "mesh":
         glow = studio.material("Glow", colour, emission=9.0)
         studio.place("Light", studio.ball("Light", 0.3, glow, cells=2), POSITION)
-    else:
+    elif name in ("world", "world image"):
         _set_world(scene.world, image=name == "world image")
 
 
@@ -136,7 +138,7 @@ def _set_world(world: Any, image: bool) -> None:
     world.node_tree.links.new(texture.outputs[0], background.inputs["Color"])
 
 
-def _medium(name: str, extinction: float, g: float) -> Any:
+def _medium(name: str, extinction: float, g: float, glow: float = 0.0) -> Any:
     import bpy
 
     made = bpy.data.materials.new(name)
@@ -144,12 +146,12 @@ def _medium(name: str, extinction: float, g: float) -> Any:
         made.use_nodes = True
     made.node_tree.nodes.clear()
     made.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    _fill(made, extinction, g)
+    _fill(made, extinction, g, glow)
     return made
 
 
-def _fill(block: Any, extinction: float, g: float) -> None:
-    """Link fog of `COLOUR` to the output of a material or world."""
+def _fill(block: Any, extinction: float, g: float, glow: float) -> None:
+    """Link fog of `COLOUR`, which emits ``glow`` per unit, to the output of a material or world."""
     tree = block.node_tree
     scatter, absorb, both = (
         tree.nodes.new(f"ShaderNode{kind}") for kind in ("VolumeScatter", "VolumeAbsorption", "AddShader")
@@ -159,6 +161,13 @@ def _fill(block: Any, extinction: float, g: float) -> None:
         node.inputs["Density"].default_value = extinction if node is scatter else extinction / 2
         tree.links.new(node.outputs[0], both.inputs[0 if node is scatter else 1])
     scatter.inputs["Anisotropy"].default_value = g
+    if glow:
+        emission, sum_ = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "AddShader"))
+        emission.inputs["Color"].default_value = (1.0, 0.8, 0.5, 1.0)
+        emission.inputs["Strength"].default_value = glow
+        tree.links.new(both.outputs[0], sum_.inputs[0])
+        tree.links.new(emission.outputs[0], sum_.inputs[1])
+        both = sum_
     output = next(node for node in tree.nodes if node.type.startswith("OUTPUT"))
     tree.links.new(both.outputs[0], output.inputs["Volume"])
     block.cycles.volume_sampling = "MULTIPLE_IMPORTANCE"

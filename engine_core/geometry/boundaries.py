@@ -44,11 +44,14 @@ class Boundaries:
     Only the sides of triangles decide what is inside: a body's first crossing tells whether the ray began
     there. So no state need be handed from ray to ray, and none can be wrong. A mesh turned inside out is
     taken the other way round. In an open mesh, what is entered and not left is inside to the ray's end.
+
+    balls : centre (3,) and radius of a ball around each.
     """
 
     def __init__(self, bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """bodies : vertices (V, 3) float32 and triangles (T, 3) of each, at most `MOST`."""
         self.bodies = [_body_of(vertices, triangles) for vertices, triangles in bodies]
+        self.balls = [_ball_around(vertices[triangles]) for vertices, triangles in bodies]
 
     def __len__(self) -> int:
         return len(self.bodies)
@@ -73,6 +76,16 @@ class Boundaries:
             ray may not meet any more; of others it saves work.
         """
         return self.bodies[body].spans(origins, directions, reach, inside)
+
+
+def _ball_around(corners: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of a ball that holds triangles' corners (T, 3, 3), not the smallest one."""
+    corners = corners.reshape(-1, 3).astype(np.float64)
+    corners = corners[np.isfinite(corners).all(axis=1)]
+    if len(corners) == 0:
+        return np.zeros(3), 0.0
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return centre, float(np.sqrt(((corners - centre) ** 2).sum(axis=1).max()))
 
 
 class _Convex:

@@ -4,8 +4,9 @@
     L = integral along the ray of T(t) integral over directions sum_g sigma_g p_g(cos) E dw dt
 
 E is the radiance of glowing fog that a point of the ray sees in a direction, which needs no dimension of its
-own: `Media` integrate it. Distances follow free paths, directions the phase functions, each as often as it
-scatters of grey light; their weights are those of their mixture.
+own: `Media` integrate it. A sample is of one technique: distances by free paths and directions by the phase
+functions, or, as fire in fog wants it, both by a body that glows: distances about it, directions to a ball
+around it. The balance heuristic weighs them: its values are divided by the density of all together.
 """
 
 from __future__ import annotations
@@ -14,12 +15,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..geometry.vectors import take
+from ..geometry.vectors import dot, take
+from ..geometry.warps import basis, cap
 from . import phase
 from .direct_light import SHADOW, _inset
-from .distance_maps import FreePath, within_depth
+from .distance_maps import EquiAngular, FreePath, within_depth
 from .shadows import Shadows
 from .single_scattering import FogRays, Scattered, SingleScattering
+
+BALLS = 8
+"""Of the bodies that glow, those that samples look for: the brightest."""
 
 
 class ScatteredGlow(Scattered):
@@ -33,6 +38,11 @@ class ScatteredGlow(Scattered):
         """shadows : that know of the fog. check : called before every batch; may raise, to give up."""
         super().__init__(scattering, np.zeros(0, np.intp), check)
         self._shadows = shadows
+        balls, beyond = scattering.media.glowing()
+        # Where only what glows scatters, there is light from everywhere.
+        self._balls = sorted(balls, key=lambda ball: -ball[2])[:BALLS] if beyond else []
+        bright = np.array([ball[2] for ball in self._balls])
+        self._chances = np.array([1.0]) if bright.sum() == 0 else np.append(0.5, 0.5 * bright / bright.sum())
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which (J,) of points u (3, M, S), of distance and direction, of M rays get radiance (3, J).
@@ -48,40 +58,114 @@ class ScatteredGlow(Scattered):
         place = self._segment(rays, ray, None, u[0][:, None])
         row = place.row
         mixture, start = media.mixture.take(row), media.start.take(row)
+        direction, origin = take(rays.direction, ray), take(rays.origin, ray)
+        origin = origin + direction * start
+        technique, u = self._technique(u[1:])
+
         sigma = self._scattering.thinnest.take(mixture)
-        path = FreePath(sigma, within_depth(sigma, media.end.take(row) - start))
-        t = path.sample(place.u[:, 0])
+        length = within_depth(sigma, media.end.take(row) - start)
+        maps = [FreePath(sigma, length)] + [
+            _about(centre, radius, origin, direction, length) for centre, radius, _ in self._balls
+        ]
+        t = np.choose(technique, [of.sample(place.u[:, 0]) for of in maps])
+        position = origin + direction * t
+
+        lobes = _Lobes(fog.scattering.take(mixture, axis=2), fog.anisotropy, direction)
+        ways = [lobes] + [_Cap(centre, radius, position) for centre, radius, _ in self._balls]
+        towards = np.empty_like(position)
+        for number, way in enumerate(ways):
+            rows = np.flatnonzero(technique == number)
+            towards[:, rows] = way.sample(rows, take(u, rows))
+        density = np.zeros(len(ray))
+        for chance, of, way in zip(self._chances, maps, ways, strict=True):
+            density += chance * of.pdf(t) * way.pdf(towards)
+
         depth = take(media.depth, row) + take(fog.extinction, mixture) * t
-        value = np.exp(-depth) / (path.pdf(t) * place.chance)
-        direction = take(rays.direction, ray)
-        position = take(rays.origin, ray) + direction * (start + t)
-        to_glow, scattered = self._scattered(direction, mixture, u[1:])
-        value = value * scattered
+        value = np.exp(-depth) * lobes.scattered(towards) / (density * place.chance)
         if rays.through is not None:
             value *= take(rays.through, row)
         lit = np.flatnonzero(value.any(axis=0))
-        origins, directions = (np.ascontiguousarray(take(x, lit).T, np.float32) for x in (position, to_glow))
+        origins, directions = (np.ascontiguousarray(take(x, lit).T, np.float32) for x in (position, towards))
         self._count(SHADOW, len(lit))
         glow = self._shadows.glow(origins, directions, media.inside.take(row.take(lit)))
         return lit, self._bounded(take(value, lit) * glow)
 
-    def _scattered(
-        self, direction: np.ndarray, mixture: np.ndarray, u: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (3, N) to where light comes from that goes on against ``direction`` (3, N), at u (2, N);
-        and what part of it per length, over their density (3, N)."""
-        fog = self._scattering.media
-        coefficients = fog.scattering.take(mixture, axis=2)
-        share = coefficients.mean(axis=1)
-        share /= share.sum(axis=0)
-        # Part of the first dimension tells which phase function.
-        upper = np.cumsum(share, axis=0)
-        which = np.minimum((u[0] >= upper).sum(axis=0), len(share) - 1)
-        own = np.take_along_axis(share, which[None], axis=0)[0]
-        below = np.take_along_axis(upper, which[None], axis=0)[0] - own
-        v = np.stack([np.clip((u[0] - below) / own, 0, 1), u[1]])
-        found = phase.sample(direction, fog.anisotropy.take(which), v)
-        less, more = phase.half_angle(found, direction)
-        values = np.stack([phase.value(less, more, g) for g in fog.anisotropy])
-        density = (share * values).sum(axis=0)
-        return found, (coefficients * values[:, None]).sum(axis=0) / density
+    def _technique(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (N,) by the first of u (2, N), and what that leaves of it."""
+        return _chosen(self._chances[:, None], u)
+
+
+def _chosen(chances: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which (N,) of K things that have ``chances`` (K, N) or (K, 1) u[0] chooses, and u (2, N) without it."""
+    upper = np.cumsum(chances, axis=0)
+    which = np.minimum((u[0] >= upper).sum(axis=0), len(chances) - 1)
+    upper, own = (
+        np.take_along_axis(np.broadcast_to(x, (len(x), u.shape[1])), which[None], 0)[0]
+        for x in (upper, chances)
+    )
+    return which, np.stack([np.clip((u[0] - (upper - own)) / own, 0, 1), u[1]])
+
+
+def _about(
+    centre: np.ndarray, radius: float, origin: np.ndarray, direction: np.ndarray, length: np.ndarray
+) -> EquiAngular:
+    """Distances along rays (3, N) about a ball, which softens the peak."""
+    vector = centre[:, None] - origin
+    foot = dot(vector, direction)
+    vector -= foot * direction
+    return EquiAngular(foot, np.sqrt(dot(vector, vector) + radius * radius), length)
+
+
+class _Lobes:
+    """Directions by N mixtures of phase functions, each as often as it scatters of grey light.
+
+    Where light comes from is as far from where the camera ray goes to as its two directions of travel are.
+    """
+
+    def __init__(self, coefficients: np.ndarray, anisotropy: np.ndarray, direction: np.ndarray) -> None:
+        """coefficients : (G, 3, N). anisotropy : (G,). direction : (3, N) of the camera rays."""
+        self._coefficients, self._anisotropy, self._direction = coefficients, anisotropy, direction
+        self._share = coefficients.mean(axis=1)
+        self._share /= self._share.sum(axis=0)
+
+    def sample(self, rows: np.ndarray, u: np.ndarray) -> np.ndarray:
+        which, u = _chosen(self._share.take(rows, axis=1), u)
+        return phase.sample(take(self._direction, rows), self._anisotropy.take(which), u)
+
+    def pdf(self, towards: np.ndarray) -> np.ndarray:
+        return (self._share * self._values(towards)).sum(axis=0)
+
+    def scattered(self, towards: np.ndarray) -> np.ndarray:
+        """(3, N) of light from there, per length and solid angle."""
+        return (self._coefficients * self._values(towards)[:, None]).sum(axis=0)
+
+    def _values(self, towards: np.ndarray) -> np.ndarray:
+        angle = phase.half_angle(towards, self._direction)
+        return np.stack([phase.value(*angle, g) for g in self._anisotropy])
+
+
+class _Cap:
+    """Directions to a ball, uniform; from inside of it to a cap that grows to the whole sphere."""
+
+    def __init__(self, centre: np.ndarray, radius: float, position: np.ndarray) -> None:
+        """position : (3, N)."""
+        vector = centre[:, None] - position
+        square, ball = dot(vector, vector), radius * radius
+        outside = square > ball
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cos = np.sqrt(np.maximum(np.where(outside, 1 - ball / square, 1 - square / ball), 0))
+            self._height = np.where(outside, ball / square / (1 + cos), 1 + cos)
+            self._axis = vector / np.sqrt(square)
+        nowhere = ~np.isfinite(self._axis).all(axis=0)
+        self._axis[:, nowhere], self._height[nowhere] = np.eye(3)[:, 2:], 2.0
+
+    def sample(self, rows: np.ndarray, u: np.ndarray) -> np.ndarray:
+        x, y, less = cap(*u, self._height.take(rows))
+        axis = take(self._axis, rows)
+        s, t = basis(axis)
+        return x * s + y * t + (1 - less) * axis
+
+    def pdf(self, towards: np.ndarray) -> np.ndarray:
+        apart = towards - self._axis
+        within = dot(apart, apart) <= 2 * self._height * (1 + 1e-6)
+        return np.where(within, 1 / (2 * np.pi * self._height), 0)

@@ -151,6 +151,25 @@ class Media:
             rows = np.array([self._row[int(s)] for s in sets], np.intp)
         return rows.take(which.reshape(-1))
 
+    def glowing(self) -> tuple[list[tuple[np.ndarray, float, float]], bool]:
+        """The bodies that glow, as centre (3,) and radius of a ball around each and how bright it is from
+        afar, about; and whether anything scatters outside of these.
+        """
+        width = self._extinction.shape[1]
+        emission = self._of_body[:-1, width : width + 3].mean(axis=1)
+        scatters = self._of_body[:, width + 3 :].any(axis=1)
+        bodies = np.flatnonzero(emission)
+        balls = [self._boundaries.balls[body] for body in bodies]
+        radius = np.array([radius for _, radius in balls])
+        bright = emission[bodies] * radius**3 / (1 + self._extinction.mean(axis=1)[bodies] * radius)
+
+        def held(body: int) -> bool:
+            centre, radius = self._boundaries.balls[body]
+            return any(np.linalg.norm(centre - c) + radius <= 1.001 * r for c, r in balls)
+
+        beyond = scatters[-1] or not all(held(body) for body in np.flatnonzero(scatters[:-1]))
+        return [(*ball, float(b)) for ball, b in zip(balls, bright, strict=True)], bool(beyond)
+
     # -- along rays --------------------------------------------------------------------------------
 
     def optical_depth(

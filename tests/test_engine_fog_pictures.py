@@ -201,6 +201,8 @@ def test_pictures_of_any_size_are_finite(size, samples):
     [
         Volume(absorption=0.3),
         Volume(absorption=0.3, emission=(1, 0.5, 0.1)),
+        Volume(scattering=0.1, absorption=0.3, emission=(1e30, 0.5, 0)),
+        Volume(scattering=(1, 0, 0), absorption=(0, 1, 0), emission=1.0),
         Volume(scattering=1e4),
         Volume(scattering=1e-9),
         Volume(scattering=(1, 0, 0), absorption=(0, 1, 0)),

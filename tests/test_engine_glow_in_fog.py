@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -123,12 +124,22 @@ def test_fogs_that_overlap_light_each_other(integrator: str) -> None:
     assert_mean(np.array(found), brute_force(direction), rounding=1e-3)
 
 
-def test_pictures_lit_by_glowing_fog_are_unbiased() -> None:
+def fires(camera: Camera) -> Scene:
+    """More of them in fog than samples look for, one of which has no inside."""
+    corner = np.indices((4, 3)).reshape(2, -1).T[:, [0, 0, 1]] * (0.6, 0.1, 0.5) + (-1, 0, -0.6)
+    meshes = [box(low, low + 0.2, volume=1, surface=False) for low in corner]
+    flat = box((0, 0, 0), (0.5, 0.5, 0), volume=1, surface=False)
+    volumes = [Volume(0.2, 0.1, 0.5), Volume(0.0, 1.0, emission=GLOW)]
+    return Scene(camera, [*meshes, flat], [Material(0.0)], volumes=volumes, world=World(volume=0))
+
+
+@pytest.mark.parametrize("made", [among_blocks, fires])
+def test_pictures_lit_by_glowing_fog_are_unbiased(made: Callable[[Camera], Scene]) -> None:
     """The mean over seeds, of the whole picture and of its quarters, is that of plain samples."""
-    camera = Camera.look_at((0.3, -4, 1.0), (0, 0, 0), 48, 32, 0.6)
+    scene = made(Camera.look_at((0.3, -4, 1.0), (0, 0, 0), 48, 32, 0.6))
 
     def quarters(settings: Settings, seeds: range) -> np.ndarray:
-        films = [render(among_blocks(camera), replace(settings, seed=s)).volume for s in seeds]
+        films = [render(scene, replace(settings, seed=s)).volume for s in seeds]
         return np.array(films).reshape(-1, 2, 16, 2, 24, 3).mean(axis=(2, 4, 5), dtype=np.float64)
 
     plain, ours = (

@@ -51,7 +51,7 @@ class Boundaries:
     def __init__(self, bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """bodies : vertices (V, 3) float32 and triangles (T, 3) of each, at most `MOST`."""
         self.bodies = [_body_of(vertices, triangles) for vertices, triangles in bodies]
-        self.balls = [_ball_around(vertices[triangles]) for vertices, triangles in bodies]
+        self.balls = [_ball_around(vertices) for vertices, _ in bodies]
 
     def __len__(self) -> int:
         return len(self.bodies)
@@ -78,10 +78,9 @@ class Boundaries:
         return self.bodies[body].spans(origins, directions, reach, inside)
 
 
-def _ball_around(corners: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of a ball that holds triangles' corners (T, 3, 3), not the smallest one."""
-    corners = corners.reshape(-1, 3).astype(np.float64)
-    corners = corners[np.isfinite(corners).all(axis=1)]
+def _ball_around(vertices: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of a ball that holds vertices (V, 3), not the smallest one."""
+    corners = vertices[np.isfinite(vertices).all(axis=1)].astype(np.float64)
     if len(corners) == 0:
         return np.zeros(3), 0.0
     centre = (corners.min(axis=0) + corners.max(axis=0)) / 2

@@ -39,10 +39,11 @@ class ScatteredGlow(Scattered):
         super().__init__(scattering, np.zeros(0, np.intp), check)
         self._shadows = shadows
         balls, beyond = scattering.media.glowing()
+        balls = sorted((ball for ball in balls if 0 < ball[2] < np.inf), key=lambda ball: -ball[2])
         # Where only what glows scatters, there is light from everywhere.
-        self._balls = sorted(balls, key=lambda ball: -ball[2])[:BALLS] if beyond else []
+        self._balls = balls[:BALLS] if beyond else []
         bright = np.array([ball[2] for ball in self._balls])
-        self._chances = np.array([1.0]) if bright.sum() == 0 else np.append(0.5, 0.5 * bright / bright.sum())
+        self._chances = np.append(0.5, 0.5 * bright / bright.sum()) if self._balls else np.ones(1)
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which (J,) of points u (3, M, S), of distance and direction, of M rays get radiance (3, J).
@@ -60,7 +61,7 @@ class ScatteredGlow(Scattered):
         mixture, start = media.mixture.take(row), media.start.take(row)
         direction, origin = take(rays.direction, ray), take(rays.origin, ray)
         origin = origin + direction * start
-        technique, u = self._technique(u[1:])
+        technique, u = _chosen(self._chances[:, None], u[1:])
 
         sigma = self._scattering.thinnest.take(mixture)
         length = within_depth(sigma, media.end.take(row) - start)
@@ -89,10 +90,6 @@ class ScatteredGlow(Scattered):
         self._count(SHADOW, len(lit))
         glow = self._shadows.glow(origins, directions, media.inside.take(row.take(lit)))
         return lit, self._bounded(take(value, lit) * glow)
-
-    def _technique(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (N,) by the first of u (2, N), and what that leaves of it."""
-        return _chosen(self._chances[:, None], u)
 
 
 def _chosen(chances: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -105,6 +105,7 @@ class OverScreen:
     outlines : of a region of the picture and a map_ of the workers, (W, H) bool: pixels of no polynomial.
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     wedges : parts of the picture that no region knows whose nodes all lie beside them.
+    bodies : of a region of the picture and a map_, which bodies of fog are seen, as `silhouettes`.
     """
 
     whole: StagedIntegrand
@@ -115,6 +116,7 @@ class OverScreen:
     outlines: Callable[[Region, Map], np.ndarray]
     elsewhere: np.ndarray | None
     wedges: tuple[Wedge, ...]
+    bodies: Callable[[Region, Map], np.ndarray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +185,7 @@ def parts_of(
     """
     parts: list[Part] = []
     scattering = None
-    outlines = Silhouettes(surfaces.stage.rays, surfaces.surfaces)
+    outlines = Silhouettes(surfaces.stage.rays, surfaces.surfaces, surfaces.media)
     if surfaces.media is not None:
         scattering = SingleScattering(
             surfaces.frame,
@@ -228,7 +230,7 @@ def _of_fog(
         return found
 
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
-        return lambda region, map_: outlines(region, map_) | (False if beams is None else beams)
+        return lambda region, map_: outlines.with_fog(region, map_) | (False if beams is None else beams)
 
     parts, rest, elsewhere, calm = [], scattering.sized, None, None
     bare, choice = scattering.sizeless, None
@@ -275,6 +277,7 @@ def _of_fog(
             and_beams(None if calm is None else calm.beams),
             None if many else elsewhere,
             tuple(beams.values()),
+            outlines.bodies,
         )
         plain = ScatteredLight(scattering, bare, None, check)
         if settings.integrator == "control_variates" and scattering.screen_dimensions > 2:

@@ -27,6 +27,7 @@ from .parts import SHADOW_RAYS, OverScreen, cell_of
 from .settings import Settings
 from .transport.around_light import Wedge
 from .transport.camera_hits import Pixels
+from .transport.silhouettes import of_bodies
 
 CHANNELS = 3
 
@@ -138,7 +139,7 @@ class ScreenPicture:
         """region : x0, y0, x1, y1 in the whole frame. check : called before every batch; may raise."""
         self._whole, self._rule, self._alone = by.whole, by.rule, by.alone
         self._outlines, self._elsewhere = by.outlines, by.elsewhere
-        self._wedges = by.wedges
+        self._wedges, self._bodies = by.wedges, by.bodies
         self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own.
@@ -171,6 +172,7 @@ class ScreenPicture:
         # Alone, polynomials must serve all pixels. They cover outlines too, or there would be more edges of
         # regions than regions; but what is sampled there is f.
         self._outline = np.zeros(bins[::-1], bool) if alone else self._outlines(self._frame, map_).T
+        met = None if alone else self._bodies(self._frame, map_)
         if self._elsewhere is not None:
             self._outline |= self._elsewhere.T
         if log_edge is not None and not self._outline.all():
@@ -185,15 +187,18 @@ class ScreenPicture:
             if helps or alone:
                 self._tree, self.told = tree, "built"
         grown = perf_counter()
-        self._integrate(map_)
+        self._integrate(map_, met)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
 
     def _pixels(self, index: np.ndarray) -> Pixels:
         x, y = index[0] + self._corner[0], index[1] + self._corner[1]
         return Pixels(x.astype(np.int32), y.astype(np.int32), cell_of(x, y, self._frame))
 
-    def _integrate(self, map_: Map) -> None:
-        """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h."""
+    def _integrate(self, map_: Map, met: np.ndarray | None) -> None:
+        """H of all pixels, which region each lies in (-1: none), and the predicted deviation of f - h.
+
+        met : of `silhouettes`.
+        """
         width, height = self._bins
         self._region = np.full((height, width), -1, np.int32)
         self._deviation = self._inside = np.zeros(0, np.float32)
@@ -256,6 +261,9 @@ class ScreenPicture:
         step = np.ptp(coefficients, axis=1).sum(axis=1)
         has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
         has_outline[:-1] |= _hidden(leaves, self._wedges, self._corner)
+        if met is not None:
+            crossed = np.unique(self._region.T[of_bodies(met)])
+            has_outline[crossed] |= _overlooked(leaves[crossed], met)
         has_outline[-1] = False
 
         def classify(rows: slice) -> None:
@@ -519,6 +527,24 @@ def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) 
         aside = [((side * first > 0) & (side * second > 0)).any(axis=(1, 2)) for side in (1, -1)]
         hidden |= aside[0] & aside[1] & ~seen.any(axis=(1, 2))
     return hidden
+
+
+def _overlooked(regions: Regions, met: np.ndarray) -> np.ndarray:
+    """(R,) bool, regions in which a body of fog is seen that none of their nodes sees.
+
+    met : (W + 1, H + 1) uint64, what is seen at pixels' corners. Nodes lie there, but within a pixel.
+    """
+    overlooked = np.zeros(len(regions), bool)
+    start, log = regions.start >> BIN, regions.size.astype(np.int64) - BIN
+    code = log[0] * 64 + log[1]
+    for kind in np.unique(code):
+        chosen, edge = np.flatnonzero(code == kind), tuple(1 << int(n) for n in divmod(int(kind), 64))
+        x, y = (start[d].take(chosen)[:, None] + np.arange(edge[d] + 1) for d in range(2))
+        seen = met[x[:, :, None], y[:, None, :]]
+        by_nodes = seen[:, :: max(1, edge[0] // 2), :: max(1, edge[1] // 2)]
+        every, known = (np.bitwise_or.reduce(a, axis=(1, 2)) for a in (seen, by_nodes))
+        overlooked[chosen] = every != known
+    return overlooked
 
 
 def _finite(radiance: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import assert_picture_is_sound, box, floor, place
+from scenes import assert_picture_is_sound, box, floor, place, sphere
 
 from benchmarks.scenes import core
 from engine_core import (
@@ -28,15 +28,18 @@ from engine_core import (
     render,
 )
 from engine_core.image.film import LASER, Layer
+from engine_core.integration.mapping import in_order
+from engine_core.integration.regions import BIN, RegionTree
 from engine_core.part_pictures import SeenPicture, _of_neighbours
 from engine_core.parts import parts_of
+from engine_core.screen_picture import _overlooked
 from engine_core.shading.closures import Emission, Mix, Transparent
 from engine_core.transport.around_light import Block, lit_angles, peaks, polar, tamed, wedges
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.ray_rule import ScatteredAlongRay
 from engine_core.transport.scattered_light import in_cone
-from engine_core.transport.silhouettes import silhouettes
+from engine_core.transport.silhouettes import of_bodies, silhouettes
 
 CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
 FOG = Volume(scattering=0.12, absorption=0.02, anisotropy=0.3)
@@ -444,7 +447,8 @@ def test_a_pixel_has_no_say_in_its_own_samples():
 def test_silhouettes_are_where_depth_jumps():
     made = DirectLight(scene(PointLight(1.0, position=OUTSIDE)))
     rays, surfaces = made.stage.rays, made.surfaces
-    found = silhouettes(rays, surfaces, CAMERA.region, lambda f, items: [f(i) for i in items])
+    found, bodies = silhouettes(rays, surfaces, CAMERA.region, in_order, made.media)
+    assert bodies is None  # it is everywhere
     x, y = (a.ravel() for a in np.indices((48, 32)))
     u = np.stack(np.meshgrid((np.arange(8) + 0.5) / 8, (np.arange(8) + 0.5) / 8)).reshape(2, 1, -1)
     u = np.repeat(u, len(x), axis=1).astype(np.float32)
@@ -467,7 +471,7 @@ def test_silhouettes_are_followed_between_the_corners_of_pixels(seed):
     made = scene(PointLight(1.0, position=OUTSIDE))
     made = DirectLight(replace(made, meshes=(needles,), materials=(Material(0.0),)))
     rays, surfaces = made.stage.rays, made.surfaces
-    found = silhouettes(rays, surfaces, CAMERA.region, lambda f, items: [f(i) for i in items])
+    found, _ = silhouettes(rays, surfaces, CAMERA.region, in_order)
     x, y = (a.ravel() for a in np.indices((48, 32)))
     # Of pixels that a needle covers a sixteenth of, all but the odd one.
     u = (np.stack(np.meshgrid(np.arange(16), np.arange(16))).reshape(2, 1, -1) + 0.5) / 16
@@ -537,3 +541,60 @@ def test_cancel_while_fog_is_sampled_leaves_what_is_built() -> None:
     assert film.statistics["control variate"] == "built"
     assert film.stopped_by == "cancel"
     assert np.isfinite(film.combined).all() and film.combined[..., :3].max() > 0
+
+
+def clouds(camera: Camera, radius: float, *lights) -> Scene:
+    """Twelve balls of fog before and above one another."""
+    random = np.random.default_rng(4)
+    balls = [
+        sphere(at, radius, volume=0, surface=False)
+        for at in random.uniform((-2.5, -1.0, -0.5), (2.5, 3.0, 2.5), (12, 3))
+    ]
+    return Scene(camera, (box(), *balls), [Material(0.0)] * 13, lights, volumes=[Volume(scattering=2.0)])
+
+
+def test_outlines_of_fog_are_where_bodies_differ():
+    made = DirectLight(clouds(CAMERA, 0.4, PointLight(1.0, position=OUTSIDE)))
+    rays, surfaces = made.stage.rays, made.surfaces
+    surface, bodies = silhouettes(rays, surfaces, CAMERA.region, in_order, made.media)
+    found = of_bodies(bodies)
+    x, y = (a.ravel() for a in np.indices((48, 32)))
+    u = (np.stack(np.meshgrid(np.arange(8), np.arange(8))).reshape(2, 1, -1) + 0.5) / 8
+    u = np.repeat(u, len(x), axis=1).astype(np.float32)
+    origins, directions = rays.rays(x, y, u)
+    met = made.media.met(origins, directions, surfaces.distance(origins, directions, rays.reach))
+    met = met.reshape(48, 32, -1)
+    differ = (met != met[..., :1]).any(axis=2)
+    assert found.sum() > 100 and bodies.any() and (bodies == 0).any()
+    # But for what is between the corners, or just at one.
+    assert found[differ].mean() > 0.85
+    assert found[~differ].mean() < 0.04
+
+
+def test_regions_know_of_bodies_that_no_node_sees():
+    random = np.random.default_rng(6)
+
+    def rough(place):
+        return np.square(np.sin(place * 3e-7)).sum(axis=0, keepdims=True), None
+
+    tree = RegionTree((37, 22), 2, 3, rough, False)
+    for _ in range(4):
+        tree.sweep(12, 0)
+    regions, bodies = tree.leaves(), np.zeros((38, 23), np.uint64)
+    for bit in range(3):
+        bodies[random.integers(0, 38, 9), random.integers(0, 23, 9)] |= np.uint64(1 << bit)
+    expected = []
+    for (x, y), (w, h) in zip((regions.start >> BIN).T, 1 << (regions.size.T.astype(int) - BIN), strict=True):
+        inside = bodies[x : x + w + 1, y : y + h + 1]
+        nodes = inside[np.ix_(*(sorted({0, n // 2 if n > 1 else 0, n}) for n in (w, h)))]
+        expected.append(np.bitwise_or.reduce(inside, axis=None) != np.bitwise_or.reduce(nodes, axis=None))
+    assert 3 < sum(expected) < len(regions) - 3 and len({*map(tuple, regions.size.T)}) > 3
+    np.testing.assert_array_equal(_overlooked(regions, bodies), expected)
+
+
+def test_small_bodies_of_fog_make_no_specks():
+    """They are smaller than what lies between the first nodes."""
+    camera = Camera.look_at((0.2, -24, 1.2), (0, 0, 0.7), 192, 128, 0.8, clip_start=0.1)
+    films = [render(clouds(camera, 0.3, *LIT["point"]), Settings(1, seed=seed)) for seed in range(3)]
+    pictures = np.array([film.volume for film in films], np.float64)
+    assert np.sqrt(pictures.var(axis=0, ddof=1).mean()) < 0.05 * pictures.mean()

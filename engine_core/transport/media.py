@@ -201,6 +201,15 @@ class Media:
                         out += coefficient * lengths
             return depth.astype(np.float32)
 
+    def met(self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray) -> np.ndarray:
+        """(N,) uint64, the bodies that rays run through before their ``end``; arguments as in `along`."""
+        directions, end = _broadcast(origins, directions, end)
+        met = np.zeros(len(origins), np.uint64)
+        for body in range(self.bodies):
+            spans = self._boundaries.spans(body, origins, directions, end, None)
+            met[spans.ray] |= np.uint64(1 << body)
+        return met
+
     def along(
         self,
         origins: np.ndarray,

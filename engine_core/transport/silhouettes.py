@@ -2,7 +2,8 @@
 """Pixels in which one thing ends before another, found without a look at any light.
 
 Over a plane 1 / depth is an affine function of the picture, so its second differences are 0; across an
-outline they are not. What a camera ray brings through fog jumps there, and no polynomial follows.
+outline they are not. What a camera ray brings through fog jumps there, and no polynomial follows. Nor does
+one where a body of fog ends: there the way through it is steep as a root.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from ..geometry.surfaces import Surfaces
 from ..integration.mapping import Map
 from .camera_rays import CameraRays
+from .media import Media
 
 BEND = 0.03
 """Second difference of 1 / depth, relative to it, that is an outline."""
@@ -33,31 +35,40 @@ def silhouettes(
     surfaces: Surfaces,
     region: tuple[int, int, int, int],
     map_: Map,
-) -> np.ndarray:
-    """(W, H) bool, pixels of ``region`` (x0, y0, x1, y1) that an outline crosses.
+    media: Media | None = None,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """(W, H) bool, pixels of ``region`` (x0, y0, x1, y1) that an outline of surfaces crosses; and
+    (W + 1, H + 1) uint64, a bit for each body of ``media`` that is seen at pixels' corners, None without any.
 
     map_ : runs a function over items on the workers, and returns the results in order.
     """
     x0, y0, x1, y1 = region
 
-    def look(column: np.ndarray, row: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """1 / distance at places (2, N, S) of pixels' unit squares."""
+    def look(
+        column: np.ndarray, row: np.ndarray, place: np.ndarray, media: Media | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """1 / distance (N, S) at places (2, N, S) of pixels' unit squares; bodies of ``media`` (N * S,)."""
         u = np.full((rays.dimensions, *place.shape[1:]), 0.5, np.float32)  # the lens' middle
         u[:2] = place
         origins, directions = rays.rays(column, row, u)
         distance = surfaces.distance(origins, directions, rays.reach)
         with np.errstate(divide="ignore"):
-            return (1 / (distance + np.float32(rays.clip_start))).reshape(place.shape[1:])
+            inverse = (1 / (distance + np.float32(rays.clip_start))).reshape(place.shape[1:])
+        return inverse, None if media is None else media.met(origins, directions, distance)
 
+    foggy = media if media is not None and media.bodies else None
     # Corners, and one more beyond each side for the differences.
     x = np.arange(x0 - 1, x1 + 2)
 
-    def trace(low: int) -> np.ndarray:
+    def trace(low: int) -> tuple[np.ndarray, ...]:
         y = np.arange(low, min(low + ROWS, y1 + 2))
         column, row = (a.ravel() for a in np.meshgrid(x, y))
-        return look(column, row, np.zeros((2, len(column), 1), np.float32)).reshape(len(y), len(x)).T
+        inverse, met = look(column, row, np.zeros((2, len(column), 1), np.float32), foggy)
+        found = (inverse,) if met is None else (inverse, met)
+        return tuple(a.reshape(len(y), len(x)).T for a in found)
 
-    inverse = np.concatenate(map_(trace, range(y0 - 1, y1 + 2, ROWS)), axis=1)
+    strips = map_(trace, range(y0 - 1, y1 + 2, ROWS))
+    inverse, *met = (np.concatenate(parts, axis=1) for parts in zip(*strips, strict=True))
     found = np.zeros((x1 - x0, y1 - y0), bool)
     for axis in range(2):
         q = np.moveaxis(inverse, axis, 0)
@@ -79,7 +90,14 @@ def silhouettes(
         fresh = found & ~before
         if not fresh.any():
             break
-    return found
+    return found, met[0][1:-1, 1:-1] if met else None
+
+
+def of_bodies(met: np.ndarray) -> np.ndarray:
+    """(W, H) bool, pixels whose corners (W + 1, H + 1) see not all the same bodies."""
+    width, height = (n - 1 for n in met.shape)
+    first, *others = (met[x : x + width, y : y + height] for x, y in np.ndindex(2, 2))
+    return np.logical_or.reduce([first != other for other in others])
 
 
 def _follow(
@@ -104,7 +122,7 @@ def _follow(
     first, last = inverse[x + 1, y + 1], inverse[x + 1 + along[0], y + 1 + along[1]]
     place = np.zeros((2, len(x), len(BETWEEN)), np.float32)
     place[1 - axis] = BETWEEN
-    there = look((x + corner[0]).astype(np.int32), (y + corner[1]).astype(np.int32), place)
+    there = look((x + corner[0]).astype(np.int32), (y + corner[1]).astype(np.int32), place)[0]
     straight = first[:, None] + BETWEEN * (last - first)[:, None]
     most = np.maximum(np.maximum(first, last)[:, None], there)
     crossed = (np.abs(there - straight) > BEND * most).any(axis=1)
@@ -115,12 +133,24 @@ def _follow(
 class Silhouettes:
     """The same of one picture, traced once for whoever asks."""
 
-    def __init__(self, rays: CameraRays, surfaces: Surfaces) -> None:
-        self._rays, self._surfaces = rays, surfaces
-        self._found: dict[tuple[int, int, int, int], np.ndarray] = {}
+    def __init__(self, rays: CameraRays, surfaces: Surfaces, media: Media | None) -> None:
+        self._rays, self._surfaces, self._media = rays, surfaces, media
+        self._found: dict[tuple[int, int, int, int], tuple[np.ndarray, np.ndarray | None]] = {}
 
     def __call__(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
-        """As `silhouettes`; the caller's own copy."""
+        """Outlines of surfaces, as `silhouettes`; the caller's own copy."""
+        return self._traced(region, map_)[0].copy()
+
+    def bodies(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray | None:
+        """What is seen of fog, as `silhouettes`."""
+        return self._traced(region, map_)[1]
+
+    def with_fog(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
+        """Outlines of surfaces and of bodies of fog."""
+        found, met = self(region, map_), self.bodies(region, map_)
+        return found if met is None else found | of_bodies(met)
+
+    def _traced(self, region: tuple[int, int, int, int], map_: Map) -> tuple[np.ndarray, np.ndarray | None]:
         if region not in self._found:
-            self._found[region] = silhouettes(self._rays, self._surfaces, region, map_)
-        return self._found[region].copy()
+            self._found[region] = silhouettes(self._rays, self._surfaces, region, map_, self._media)
+        return self._found[region]

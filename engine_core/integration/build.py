@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -137,27 +137,29 @@ def grow(
     samples: float,
     max_regions: int,
     enough: Callable[[], bool] = lambda: False,
+    hopeless: Sequence[tuple[float, float]] = HOPELESS,
+    everywhere: float = EVERYWHERE,
 ) -> bool:
     """Halve the worst regions until ``budget`` evaluations are spent; False if no polynomial helps.
 
     samples : residual samples to come, in all; no region is halved that would hold less than one.
-    enough : asked before every batch; True ends it there.
+    enough : asked before every batch; True ends it there. hopeless, everywhere : as `HOPELESS`, `EVERYWHERE`.
     """
-    checks = list(HOPELESS)
+    checks = list(hopeless)
     while evaluator.evaluations < budget and len(tree) < max_regions and not enough():
         left = (budget - evaluator.evaluations) / (evaluator.cost * tree.cost_of_split)
         splits = int(min(max(8, len(tree) * SWEEP), max(left, 1), max_regions - len(tree)))
         if not tree.sweep(splits, 1 / max(samples, 1)):
             break
         while checks and evaluator.evaluations > checks[0][0] * budget and len(tree) >= FEWEST_REGIONS:
-            if _hopeless(tree, checks.pop(0)[1]):
+            if _hopeless(tree, checks.pop(0)[1], everywhere):
                 return False
-    return not checks or not _hopeless(tree, checks[0][1])
+    return not checks or not _hopeless(tree, checks[0][1], everywhere)
 
 
-def _hopeless(tree: RegionTree, limit: float) -> bool:
+def _hopeless(tree: RegionTree, limit: float, everywhere: float) -> bool:
     left, where = unexplained(tree)
-    return left > limit and where > EVERYWHERE
+    return left > limit and where > everywhere
 
 
 def unexplained(tree: RegionTree) -> tuple[float, float]:

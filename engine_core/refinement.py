@@ -241,13 +241,16 @@ class ControlVariatePicture:
 
         map_(sample_pilot, range(len(self)))
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
-        defensive, in_proportion = DEFENSIVE, error
+        defensive, in_proportion, budget = DEFENSIVE, error, self._left
         if self._plain.all():
+            # It took more to see that h is of no use than these cost; and the error of a net of two is far less
+            # than that of a point.
+            budget += error.size / settings.samples
             # Each has one in any case.
             defensive = max(DEFENSIVE, DEFENSIVE_OF_F * (1 - 1 / settings.samples))
             # A net's error falls faster than by the root of its points.
             in_proportion = error**OF_F
-        due, _ = sample_counts(in_proportion.ravel(), self._left / (1 + twice.mean()), defensive, FREE)
+        due, _ = sample_counts(in_proportion.ravel(), budget / (1 + twice.mean()), defensive, FREE)
         self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._film.control_variate.mean(axis=-1).T, 0))

@@ -243,8 +243,8 @@ class ControlVariatePicture:
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
         defensive, in_proportion, budget = DEFENSIVE, error, self._left
         if self._plain.all():
-            # It took more to see that h is of no use than these cost; and the error of a net of two is far less
-            # than that of a point.
+            # It took more to see that h is of no use than these cost; and the error of a net of two is far
+            # less than that of a point.
             budget += error.size / settings.samples
             # Each has one in any case.
             defensive = max(DEFENSIVE, DEFENSIVE_OF_F * (1 - 1 / settings.samples))

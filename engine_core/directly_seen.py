@@ -14,6 +14,8 @@ import numpy as np
 
 from .integration.mapping import Map
 from .integration.point_sets import SobolPoints
+from .settings import Settings
+from .transport.camera_hits import CameraStage
 from .transport.direct_light import RGB, DirectLightOverTile, Pixels
 
 OF_EDGE = 0.365
@@ -34,6 +36,59 @@ all, over the picture's pixels."""
 
 GROUP = 2
 """Of the points: another than those of reflected light. The next is of such looks."""
+
+
+UNKNOWN = 16
+"""Samples that are reckoned with at most where a threshold or the clock decides how many there are."""
+
+
+def directly_seen(
+    eye: DirectLightOverTile,
+    stage: CameraStage,
+    region: tuple[int, int, int, int],
+    settings: Settings,
+    map_: Map,
+    beside: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(2, 3, W, H) mean radiance, and its standard error, of what needs no light sample.
+
+    region : x0, y0, x1, y1 in the whole frame. beside : mean radiance of all else that is shown.
+    """
+    x0, y0, x1, y1 = region
+    of_lights = stage.images_of_lights((x0, y0, x1 - x0, y1 - y0))
+    where = slice(None), slice(None)
+    if not stage.sees_elsewhere:
+        where = tuple(_extent(of_lights.any(axis=1 - axis)) for axis in (0, 1))
+    corner = np.array([[low + (part.start or 0)] for low, part in zip((x0, y0), where, strict=True)])
+
+    def pixels_at(index: np.ndarray) -> Pixels:
+        x, y = (index + corner).astype(np.int32)
+        return Pixels(x, y, np.zeros(len(x), np.int32))
+
+    found = np.zeros((2, 3, *of_lights.shape))
+    if of_lights[where].size:
+        samples = settings.samples
+        if settings.noise_threshold or settings.time_limit:
+            samples = min(samples, UNKNOWN)
+        seen = DirectlySeen(
+            eye,
+            of_lights[where],
+            pixels_at,
+            settings.seed + 1,
+            settings.batch_size,
+            map_,
+            samples,
+            of_lights.size,
+            beside,
+        )
+        found[:, :, *where] = seen.mean, seen.error
+    return found
+
+
+def _extent(some: np.ndarray) -> slice:
+    """From the first to the last of ``some`` (N,) bool."""
+    index = np.flatnonzero(some)
+    return slice(int(index[0]), int(index[-1]) + 1) if len(index) else slice(0, 0)
 
 
 class DirectlySeen:

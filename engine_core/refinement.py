@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .directly_seen import DirectlySeen
+from .directly_seen import directly_seen
 from .image.film import FAR, LARGEST, Film
 from .integration.allocation import learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
@@ -160,26 +160,11 @@ class ControlVariatePicture:
         if self._direct_light.sees:
             eye = DirectLightOverTile(self._direct_light, None, self._check)
             eye.counts = self.integrand.counts
-            settings = self._settings
-            stage = self._direct_light.stage
-            of_lights = stage.images_of_lights((*self._corner, *self._bins))
-            where = slice(None), slice(None)
-            if not stage.sees_elsewhere:
-                where = tuple(_extent(of_lights.any(axis=1 - axis)) for axis in (0, 1))
-            corner = np.array([[part.start or 0] for part in where])
-            if of_lights[where].size:
-                seen = DirectlySeen(
-                    eye,
-                    of_lights[where],
-                    lambda index: self._pixels(index + corner),
-                    settings.seed + 1,
-                    settings.batch_size,
-                    map_,
-                    settings.samples,
-                    of_lights.size,
-                    reflected,
-                )
-                self._first[:, *where], self._first_error[:, *where] = seen.mean, seen.error
+            (x, y), (width, height) = self._corner, self._bins
+            region = x, y, x + width, y + height
+            self._first, self._first_error = directly_seen(
+                eye, self._direct_light.stage, region, self._settings, map_, reflected
+            )
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
@@ -409,12 +394,6 @@ def _mean(tree: RegionTree) -> float:
     middle = regions.nodes.shape[1] // 2
     means = [float(regions.volume @ v.take(regions.nodes[:, middle])) for v in tree.store.values]
     return max(sum(means) / len(means), 0.0)
-
-
-def _extent(some: np.ndarray) -> slice:
-    """From the first to the last of ``some`` (N,) bool."""
-    index = np.flatnonzero(some)
-    return slice(int(index[0]), int(index[-1]) + 1) if len(index) else slice(0, 0)
 
 
 def obstacles(integrand: DirectLight) -> str:

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from .directly_seen import directly_seen
 from .edge_samples import EdgeSamples
 from .errors import RenderError
 from .image.film import FAR, LARGEST, Film, Layer
+from .integration.mapping import Map
 from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
@@ -200,6 +202,7 @@ class _Render:
             )
             for number, part in enumerate(self._parts)
         ]
+        self._seen: np.ndarray | None = None
         self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
         self._samples = settings.samples
         if self._quadrature:
@@ -232,7 +235,7 @@ class _Render:
                 ended = self._look_for_depth(pool) if self._settings.depth else "samples"
             elif ended is None:
                 begin = time.perf_counter()
-                ended = self._passes(pool)
+                ended = self._see(pool) or self._passes(pool)
                 self._stages["seconds sampling"] += time.perf_counter() - begin
                 if self._spread is not None:
                     self._tell_error()
@@ -459,6 +462,27 @@ class _Render:
 
     # -- plain samples -----------------------------------------------------------------------------
 
+    def _see(self, pool: Executor) -> str | None:
+        """Integrate apart what camera rays see by themselves, if lamps may be among it: returns why it was
+        stopped, if it was. A lens would be two dimensions more.
+        """
+        integrand, (x0, y0, x1, y1) = self._integrand, self._camera.region
+        by_control_variates = self._settings.integrator == "control_variates"
+        if not by_control_variates or integrand.screen_dimensions > 2 or not integrand.sees:
+            return None
+        if not integrand.stage.images_of_lights((x0, y0, x1 - x0, y1 - y0)).any():
+            return None
+        eye = DirectLightOverTile(integrand, None, self._check)
+
+        def build(map_: Map, enough: Callable[[], bool]) -> np.ndarray:
+            return directly_seen(eye, integrand.stage, (x0, y0, x1, y1), self._settings, map_)
+
+        outcome, ended = self._drive(pool, build, "Looking at lamps")
+        if not ended:
+            self._seen = outcome.result()
+        self._count(eye)
+        return ended
+
     def _passes(self, pool: Executor) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
         if self._quadrature:
@@ -612,7 +636,7 @@ class _Render:
         choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
         if self._keep_choices:
             tile.choice = choice
-        integrand = DirectLightOverTile(self._integrand, choice, self._check)
+        integrand = DirectLightOverTile(self._integrand, choice, self._check, seen=self._seen is None)
         column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
         film = self._surface
 
@@ -638,7 +662,10 @@ class _Render:
                 self._settings.batch_size,
                 after_first,
             )
-        mean = np.minimum(sums.values / count, LARGEST).astype(np.float32)
+        mean = sums.values / count
+        if self._seen is not None:
+            mean[:3] += self._seen[0][:, column, row]
+        mean = np.minimum(mean, LARGEST).astype(np.float32)
         before = film.combined[row, column].T
         if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
             channels = slice(0, 4 if self._settings.transparent else 3)
@@ -709,6 +736,8 @@ class _Render:
         error = standard_error(
             self._spread, np.minimum(count.ravel(), 2), count.shape, independent=True
         ).reshape(3, *count.shape)
+        if self._seen is not None:
+            error = np.hypot(error, self._seen[1].transpose(0, 2, 1))
         self._surface.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
 
     def _report(self) -> None:

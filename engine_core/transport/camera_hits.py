@@ -206,7 +206,8 @@ class CameraStage:
         window : x0, y0, width, height in the whole frame.
         """
         x0, y0, *shape = window
-        found = np.zeros(shape, bool)
+        # At corners of boxes, so that sums over columns and rows count the boxes that a pixel is in.
+        corners = np.zeros([n + 1 for n in shape], np.int64)
         for group in self._emitters:
             if group.centre is None or not (group.any_visible or group.is_mesh):
                 continue
@@ -215,16 +216,17 @@ class CameraStage:
             corner = group.centre[:, None, which] + offset * group.reach[which]  # (3, 8, L)
             image, depth = self.rays.image_of(corner.reshape(3, -1))
             image, depth = image.reshape(2, *corner.shape[1:]), depth.reshape(corner.shape[1:])
-            # All about the camera, or partly behind it, may be anywhere.
-            ahead = depth.min(axis=0) > 0
+            # All about the camera, or partly behind it, may be anywhere; what is all behind it is not seen.
+            ahead, behind = depth.min(axis=0) > 0, depth.max(axis=0) < self.rays.clip_start
             low = np.where(ahead, image.min(axis=1) - (np.array([[x0], [y0]])), 0)
             high = np.where(ahead, image.max(axis=1) - (np.array([[x0], [y0]])), np.array([shape]).T)
             low, high = (
                 np.clip(x, 0, np.array([shape]).T).astype(np.int64) for x in (np.floor(low), np.ceil(high))
             )
-            for (left, bottom), (right, top) in zip(low.T, high.T, strict=True):
-                found[left:right, bottom:top] = True
-        return found
+            high = np.where(behind, low, high)
+            for x, y, sign in ((low, low, 1), (high, low, -1), (low, high, -1), (high, high, 1)):
+                np.add.at(corners, (x[0], y[1]), sign)
+        return corners.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
 
     def _add_lights_seen(
         self, radiance: np.ndarray, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray

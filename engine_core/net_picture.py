@@ -80,6 +80,14 @@ TOGETHER = 1 << 11
 AROUND = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
 
+ERROR = 0.1
+"""What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
+N^1.5."""
+
+HIDDEN = 0.25
+"""Part of the variance of what the picture shows beside that the net's is no less than: more points would not
+be seen."""
+
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
 
@@ -100,9 +108,7 @@ class NetPicture:
         self._by, self._settings, self._region, self._layer, self._check = by, settings, region, layer, check
         self._integrand = by.integrand
         self._alone = settings.integrator == "cv_only"
-        self._rounds = -(-by.points // MOST_POINTS)
-        self._points = by.points // self._rounds
-        self.told = f"about {self._points} points followed over the picture, {self._rounds} times"
+        self._take(by.points)
         self.seconds: dict[str, float] = {}
         self._width, self._height = region[2] - region[0], region[3] - region[1]
         columns, rows = -(-self._width // CELL), -(-self._height // CELL)
@@ -110,9 +116,16 @@ class NetPicture:
         self._corners = rows + 1, columns + 1
         self.regions, self.nodes = rows * columns, self._corners[0] * self._corners[1]
 
-    def build(self, map_: Map, enough: Callable[[], bool]) -> None:
+    def _take(self, points: int) -> None:
+        """So many, a power of two."""
+        self._rounds = -(-points // MOST_POINTS)
+        self._points = points // self._rounds
+        self.told = f"about {self._points} points followed over the picture, {self._rounds} times"
+
+    def build(self, map_: Map, enough: Callable[[], bool], noise: float | None = None) -> None:
         """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
-        the nets that there are.
+        the nets that there are. noise : variance of what is shown beside, of a pixel's channel, None if that
+        is not known.
         """
         if self._by.learn is not None:
             self._by.learn(map_)
@@ -122,7 +135,7 @@ class NetPicture:
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
         self._beside = _whole_cells(outline)
         self._served = ~(outline | elsewhere)
-        self._counts = self._allocated(map_)
+        self._counts = self._allocated(map_, noise)
         self._levels = np.unique(self._counts).tolist()
         work = [
             (row, count) for row in range(self._tiles[0]) for count in np.unique(self._counts[row]).tolist()
@@ -180,8 +193,9 @@ class NetPicture:
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
         self._by_fresh = np.zeros((3, *self._corners))
 
-    def _allocated(self, map_: Map) -> np.ndarray:
-        """(rows, columns) int of tiles: points of each, powers of two; on average about as many as asked for.
+    def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
+        """(rows, columns) int of tiles: points of each, powers of two; on average about as many as asked for,
+        or as few as the ``noise`` of what is shown beside hides.
 
         Points of their own say where many are of use, so that those of the nets stay free of what they show.
         """
@@ -211,6 +225,11 @@ class NetPicture:
         weights = np.array([1.0, 2.0, 1.0])
         for axis in range(2):
             found = _sum_around(found, axis, weights) / _sum_around(np.ones_like(found), axis, weights)
+        if noise and self._by.fewest:
+            # Channels are summed in what was found.
+            least = (ERROR / 9 * found.mean() / (HIDDEN * noise)) ** (2 / 3)
+            enough = 1 << int(np.ceil(np.log2(np.clip(least, self._by.fewest, self._by.points))))
+            self._take(enough)
         return _shared(found ** (GROWTH / 2), self._points, FEWEST)
 
     def _of_pixels(self, a: np.ndarray) -> np.ndarray:

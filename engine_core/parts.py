@@ -63,9 +63,10 @@ RAYS_OF_MANY = 20, 12, 9
 """Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
 each."""
 
-LIGHT_POINTS, GLOW_POINTS = 16, 32
-"""Of the net of lights with a size, in fog, in a picture of one sample; and of that of glowing fog, whose
-points are in a direction and not on a light, of which they know where it is."""
+LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 8, 32
+"""Of the net of lights with a size, in fog, in a picture of one sample, and where surfaces' noise is far more
+than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
+know where it is."""
 
 FOG_POINTS, SURFACE_POINTS = 32, 16
 """Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
@@ -127,6 +128,8 @@ class OverNet:
     outlines, elsewhere : as in `OverScreen`. at_outlines : samples of a pixel that an outline crosses, over
         the points that pixels around have.
     learn : called with a map_ of the workers before any point is asked for; None for nothing.
+    fewest : points that do where noise of what is shown beside hides that they are few; 0 if as many as said
+        are taken whatever that is.
     """
 
     integrand: StagedIntegrand
@@ -135,6 +138,7 @@ class OverNet:
     elsewhere: np.ndarray | None = None
     at_outlines: int = 1
     learn: Callable[[Map], None] | None = None
+    fewest: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +305,7 @@ def _of_fog(
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
         points = _growing(LIGHT_POINTS, settings.samples)
-        by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn)
+        by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn, fewest=FEW_LIGHT_POINTS)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 

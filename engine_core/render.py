@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from threading import Event, Lock
 from typing import Any
@@ -251,10 +252,10 @@ class _Render:
 
     def _by_control_variates(self, pool: Executor) -> str | None:
         """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
-        parts, ended = self._build_parts(pool)
-        surfaces = None
+        surfaces, ended = self._build_surfaces(pool)
+        parts = []
         if not ended:
-            surfaces, ended = self._build_surfaces(pool)
+            parts, ended = self._build_parts(pool, surfaces)
         ended = self._refine_parts(pool, parts, surfaces, ended)
         if surfaces is None:
             return ended
@@ -325,7 +326,9 @@ class _Render:
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
-    def _build_parts(self, pool: Executor) -> tuple[list[Built], str | None]:
+    def _build_parts(
+        self, pool: Executor, surfaces: ControlVariatePicture | None
+    ) -> tuple[list[Built], str | None]:
         """Pictures of fog and lasers, built and shown; and why it was stopped, if it was."""
         if not (self._parts and self._parts_done):
             return [], None
@@ -335,7 +338,10 @@ class _Render:
             picture = PICTURES[type(part.by)](
                 part.by, self._settings, self._camera.region, layer, self._check
             )
-            outcome, ended = self._drive(pool, picture.build, f"Building {part.name}")
+            build = picture.build
+            if isinstance(picture, NetPicture) and surfaces is not None:
+                build = partial(build, noise=surfaces.variance)
+            outcome, ended = self._drive(pool, build, f"Building {part.name}")
             if not ended:
                 outcome.result()
                 if self._sink.watched:

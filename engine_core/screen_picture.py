@@ -78,9 +78,10 @@ of its points, of one or two it does not."""
 NEAR = 2
 """Pixels from an outline, where more of it may be that was not found."""
 
-WORTH = 10.0
+WORTH, WORTH_OF_F = 10.0, 6.0
 """How many times the samples that nodes leave the budget for may be taken of a picture of one, where specks
-are what is seen; over `Settings.samples` of more, down to once."""
+are what is seen; over `Settings.samples` of more, down to once. And where all are of f itself, which no chance
+makes specks of."""
 
 LEAST_SHARE = 1 / 6
 """Of that, for samples that every pixel of no polynomial has."""
@@ -192,6 +193,7 @@ class ScreenPicture:
             self._left -= min(evaluator.evaluations / SHADOW_RAYS, SHARE * total)
             if helps or alone:
                 self._tree, self.told = tree, "built"
+        self._built = self._tree is not None
         grown = perf_counter()
         self._integrate(map_, met)
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
@@ -306,7 +308,7 @@ class ScreenPicture:
         )
         crossed = alone[~beside]
         of_one = max(float(width * height), FEWEST * self._cost)
-        afforded = self._left * max(1.0, WORTH * of_one / self._total)
+        afforded = self._left * max(1.0, (WORTH if self._built else WORTH_OF_F) * of_one / self._total)
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
         at_outlines = 1 << int(np.log2(np.clip(due, 2, AT_OUTLINES if around.any() else 2)))
         self._prepare(at_outlines)

@@ -80,8 +80,8 @@ NEAR = 2
 
 WORTH, WORTH_OF_F = 10.0, 6.0
 """How many times the samples that nodes leave the budget for may be taken of a picture of one, where specks
-are what is seen; over `Settings.samples` of more, down to once. And where all are of f itself, which no chance
-makes specks of."""
+are what is seen; over `Settings.samples` of more, down to once. And where all are of f itself, which no
+chance makes specks of."""
 
 LEAST_SHARE = 1 / 6
 """Of that, for samples that every pixel of no polynomial has."""

@@ -60,7 +60,12 @@ class Broken:
 
 
 def picture(
-    seed: int, samples: int = 32, integrator: str = "control_variates", map_=None, enough: bool = False
+    seed: int,
+    samples: int = 32,
+    integrator: str = "control_variates",
+    map_=None,
+    enough: bool = False,
+    noise: float | None = None,
 ) -> Layer:
     layer = Layer.empty(LASER, WIDTH, HEIGHT)
 
@@ -69,10 +74,10 @@ def picture(
         found[17, 5] = True
         return found
 
-    by = OverNet(Broken(), samples, outlines)
+    by = OverNet(Broken(), samples, outlines, fewest=8)
     settings = Settings(1, seed=seed, integrator=integrator)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
-    made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough)
+    made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)
     return layer
 
 
@@ -100,6 +105,13 @@ def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):
     stopped = picture(3, samples=128, enough=True)
     for name in ("radiance", "control_variate", "residual", "standard_error", "sample_count"):
         np.testing.assert_array_equal(getattr(one, name), getattr(stopped, name))
+
+
+def test_noise_beside_hides_that_points_are_few():
+    def is_of(points: int, noise: float) -> bool:
+        return np.array_equal(picture(5, noise=noise).radiance, picture(5, samples=points).radiance)
+
+    assert is_of(32, noise=1e-9) and is_of(8, noise=1e9)
 
 
 def test_points_go_where_values_differ():

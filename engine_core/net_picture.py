@@ -84,9 +84,9 @@ ERROR = 0.1
 """What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
 N^1.5."""
 
-HIDDEN = 0.25
-"""Part of the variance of what the picture shows beside that the net's is no less than: more points would not
-be seen."""
+HIDDEN = 0.5
+"""Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
+seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
 
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
@@ -124,8 +124,8 @@ class NetPicture:
 
     def build(self, map_: Map, enough: Callable[[], bool], noise: float | None = None) -> None:
         """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
-        the nets that there are. noise : variance of what is shown beside, of a pixel's channel, None if that
-        is not known.
+        the nets that there are. noise : mean error of what is shown beside, of a pixel's channel, None if
+        that is not known.
         """
         if self._by.learn is not None:
             self._by.learn(map_)
@@ -227,7 +227,7 @@ class NetPicture:
             found = _sum_around(found, axis, weights) / _sum_around(np.ones_like(found), axis, weights)
         if noise and self._by.fewest:
             # Channels are summed in what was found.
-            least = (ERROR / 9 * found.mean() / (HIDDEN * noise)) ** (2 / 3)
+            least = (ERROR / 9 * found.mean() / (HIDDEN * noise) ** 2) ** (2 / 3)
             enough = 1 << int(np.ceil(np.log2(np.clip(least, self._by.fewest, self._by.points))))
             self._take(enough)
         return _shared(found ** (GROWTH / 2), self._points, FEWEST)

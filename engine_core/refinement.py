@@ -65,11 +65,11 @@ class ControlVariatePicture:
     regions, nodes : how many there are. told : what was done, for people.
     deviation_a_sample : sum over pixels of the deviation of a sample, channels summed, over how many samples
         are due; None as long as that is not known.
-    variance : to be expected of a pixel's channel, on average; None as that.
+    noise : error to be expected of a pixel's channel, on average; None as that.
     """
 
     deviation_a_sample: float | None = None
-    variance: float | None = None
+    noise: float | None = None
 
     def __init__(
         self,
@@ -248,8 +248,8 @@ class ControlVariatePicture:
             self._due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
         self.deviation_a_sample = float(error.sum(dtype=np.float64) / max(self._due.sum(), error.size))
         # Nets' errors fall faster than by the root of their points.
-        squares = np.square(error) / np.maximum(self._due, 1) ** 1.5
-        self.variance = float(squares.mean(dtype=np.float64)) / CHANNELS**2
+        expected = error / np.maximum(self._due, 1) ** 0.75
+        self.noise = float(expected.mean(dtype=np.float64)) / CHANNELS
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         for group in self._points:
             group.prepare(int(self._due.max()))

@@ -340,7 +340,7 @@ class _Render:
             )
             build = picture.build
             if isinstance(picture, NetPicture) and surfaces is not None:
-                build = partial(build, noise=surfaces.variance)
+                build = partial(build, noise=surfaces.noise)
             outcome, ended = self._drive(pool, build, f"Building {part.name}")
             if not ended:
                 outcome.result()

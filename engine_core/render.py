@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import repeat
 from threading import Event, Lock
@@ -20,29 +19,19 @@ import numpy as np
 from .directly_seen import directly_seen
 from .edge_samples import EdgeSamples
 from .errors import RenderError
-from .image.film import FAR, LARGEST, Film, Layer
+from .image.film import FAR, Film
 from .integration.mapping import Map
-from .integration.point_sets import PointSet, staged_points
-from .integration.quadrature import sum_quadrature
-from .integration.sample_mean import sum_samples
-from .integration.standard_error import Spread, standard_error
 from .net_picture import NetPicture
 from .part_pictures import AroundLightsPicture, SeenPicture
-from .parts import AroundLights, OverNet, OverScreen, Part, Seen, parts_of
+from .parts import AroundLights, OverNet, OverScreen, Seen, parts_of
+from .plain_picture import PlainPicture, Tile
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
 from .settings import Settings
-from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile, Pixels
-from .transport.light_choice import CELL, EveryLight, LightChoice
+from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile
 
 POLL_SECONDS = 0.05
-
-PREPARED_SAMPLES = 1024
-"""Samples whose points are prepared before the first pass; more are added as they are needed."""
-
-BLOCK = 16
-"""Edge in pixels of the blocks that the noise threshold stops."""
 
 PICTURES = {
     OverScreen: ScreenPicture,
@@ -63,15 +52,6 @@ FEW_LIGHTS = 32
 
 DEPTH_ROWS, ROWS = 16, 64
 """Of the picture, whose depth is looked for at once, and whose brightness."""
-
-QUADRATURE_SHARE = 16
-"""Samples that stand for one camera ray with a quadrature over the lights."""
-
-QUADRATURE_TOLERANCE = 1e-2
-"""Of each quadrature, in units of the picture's mean radiance."""
-
-# Light choices of all tiles are kept between passes while they are no more numbers than this.
-_KEPT_CHOICES = 1 << 25
 
 
 class Sink:
@@ -95,42 +75,6 @@ class Sink:
 
 class _Nobody(Sink):
     watched = False
-
-
-@dataclass(eq=False)
-class _Tile:
-    """A part of the picture that one worker renders at a time, in pixels of the whole frame."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-    choice: LightChoice | EveryLight | None = None
-
-    def pixels(self) -> Pixels:
-        """All pixels, cell after cell."""
-        x, y = np.meshgrid(
-            np.arange(self.x0, self.x1, dtype=np.int32), np.arange(self.y0, self.y1, dtype=np.int32)
-        )
-        x, y = x.ravel(), y.ravel()
-        columns = len(self._span(self.x0, self.x1, CELL))
-        cell = (y // CELL - self.y0 // CELL) * columns + (x // CELL - self.x0 // CELL)
-        order = np.argsort(cell, kind="stable")
-        return Pixels(x[order], y[order], cell[order])
-
-    def cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and rows of its cells in the whole frame, in the order of `Pixels.cell`."""
-        x, y = np.meshgrid(self._span(self.x0, self.x1, CELL), self._span(self.y0, self.y1, CELL))
-        return x.ravel(), y.ravel()
-
-    def blocks(self) -> tuple[slice, slice]:
-        """Rows and columns of its blocks in the whole frame."""
-        rows, columns = self._span(self.y0, self.y1, BLOCK), self._span(self.x0, self.x1, BLOCK)
-        return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-
-    @staticmethod
-    def _span(low: int, high: int, edge: int) -> np.ndarray:
-        return np.arange(low // edge, (high - 1) // edge + 1)
 
 
 class _Cancelled(Exception):
@@ -183,38 +127,11 @@ class _Render:
         self._film = Film.empty(*scene.camera.region_size, shown, self._sampled)
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
-        self._split = settings.light_samples or _light_samples(len(self._integrand.lights))
-        if self._integrand.samples_every:
-            self._split = 1
-        self._points = staged_points(
-            "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
-            self._integrand.screen_dimensions,
-            self._integrand.rest_dimensions,
-            self._split,
-            settings.seed,
-        )
-        self._part_points = [
-            staged_points(
-                "monte_carlo" if settings.integrator == "monte_carlo" else "sobol",
-                self._integrand.screen_dimensions,
-                part.plain.rest_dimensions,
-                part.split,
-                settings.seed + 17 * (number + 1),
-            )
-            for number, part in enumerate(self._parts)
-        ]
-        self._seen: np.ndarray | None = None
-        self._quadrature = settings.integrator == "quadrature" and len(self._integrand.lights) > 0
-        self._samples = settings.samples
-        if self._quadrature:
-            self._samples = max(1, self._samples // QUADRATURE_SHARE)
-        self._tolerance = 0.0
         self._threads = settings.threads or os.cpu_count() or 1
-        self._tiles = _tiles(scene.camera, settings.tile_size or _tile_size(scene.camera, self._threads))
-        x0, y0, x1, y1 = scene.camera.region
-        self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
-        cells = sum(len(tile.cells()[0]) for tile in self._tiles)
-        self._keep_choices = cells * len(self._integrand.lights) <= _KEPT_CHOICES
+        plainly = [] if self._parts_done else list(zip(self._parts, self._film.layers[1:], strict=True))
+        self._plain = PlainPicture(
+            self._integrand, plainly, self._surface, scene.camera, settings, self._threads, self._check
+        )
         self._done = self._pass_work = 0
         self._counts: Counter[str] = Counter()
         self._counting = Lock()
@@ -223,8 +140,6 @@ class _Render:
             self._integrals["volume"] = "skipped: there is none that light reaches"
         self._regions = self._nodes = 0
         self._stages = {"seconds control variate": 0.0, "seconds sampling": 0.0}
-        width, height = scene.camera.region_size
-        self._spread = Spread.empty(3, width * height) if settings.standard_error else None
         self._built = time.perf_counter()
 
     def run(self, executor: Executor | None) -> Film:
@@ -238,8 +153,8 @@ class _Render:
                 begin = time.perf_counter()
                 ended = self._see(pool) or self._passes(pool)
                 self._stages["seconds sampling"] += time.perf_counter() - begin
-                if self._spread is not None:
-                    self._tell_error()
+                if self._settings.standard_error:
+                    self._plain.finish()
             self._film.stopped_by = ended
         finally:
             self._stop.set()
@@ -388,7 +303,7 @@ class _Render:
         _map_on(pool)(add, range(0, len(around), ROWS))
         bright = float(around.mean(dtype=np.float64))
         if self._integrand.shows and len(self._integrand.lights) <= FEW_LIGHTS:
-            bright += float(np.square(np.sqrt(self._few_pixels().sum(axis=0)).mean()))
+            bright += float(np.square(np.sqrt(self._plain.few_pixels().sum(axis=0)).mean()))
         return around, bright
 
     def _refine_part(
@@ -485,20 +400,20 @@ class _Render:
 
         outcome, ended = self._drive(pool, build, "Looking at lamps")
         if not ended:
-            self._seen = outcome.result()
+            self._plain.seen = outcome.result()
         self._count(eye)
         return ended
 
     def _passes(self, pool: Executor) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
-        if self._quadrature:
-            self._tolerance = QUADRATURE_TOLERANCE * float(self._few_pixels().mean())
+        plain = self._plain
+        plain.begin()
         done = 0
-        while done < self._samples:
-            tiles = [tile for tile in self._tiles if self._active[tile.blocks()].any()]
+        while done < plain.samples:
+            tiles = plain.due()
             if not tiles:
                 return "noise"
-            count = min(max(done, 1), self._samples - done)
+            count = min(max(done, 1), plain.samples - done)
             pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
             self._pass_work, self._done = pixels * count, 0
             ended = self._pass(pool, tiles, done, count)
@@ -518,8 +433,8 @@ class _Render:
             integrand,
             self._surface,
             self._camera.region[:2],
-            self._points,
-            self._samples,
+            self._plain.points,
+            self._plain.samples,
             settings.batch_size,
             self._check,
         )
@@ -527,49 +442,28 @@ class _Render:
 
         def add(many: int, rows: np.ndarray) -> None:
             self._count(edges.add(many, rows))
-            self._done += (many - 1) * len(rows) * self._samples
+            self._done += (many - 1) * len(rows) * self._plain.samples
 
         pending = {pool.submit(_quietly, add, *one): None for one in edges.work}
         ended = self._wait(pending, lambda future, _: future.result(), lambda: "Sampling edges", 0.99, 0.01)
         self._show_all()
         return ended
 
-    def _few_pixels(self) -> np.ndarray:
-        """(3, B) radiance of surfaces in a few pixels all over the picture, by 4 samples each."""
-        number = np.unique(np.linspace(0, self._film.depth.size - 1, 1024).astype(np.int64))
-        y, x = np.divmod(number, self._film.depth.shape[1])
-        x0, y0 = self._camera.region[:2]
-        x, y = (x + x0).astype(np.int32), (y + y0).astype(np.int32)
-        cells, cell = np.unique(np.stack([y // CELL, x // CELL]), axis=1, return_inverse=True)
-        cell = cell.ravel()
-        order = np.argsort(cell, kind="stable")
-        pixels = Pixels(x[order], y[order], cell[order])
-        choice = self._integrand.choice_of_cells(cells[1], cells[0], self._check)
-        integrand = DirectLightOverTile(self._integrand, choice, self._check)
-        for group in self._points:
-            group.prepare(16)
-        with np.errstate(all="ignore"):
-            sums = sum_samples(integrand, pixels, pixels.key(), self._points, 0, 4, 1)
-        return sums.values[:3] / 4
+    def _pass(self, pool: Executor, tiles: list[Tile], start: int, count: int) -> str | None:
+        plain, samples = self._plain, self._plain.samples
+        plain.prepare(start + count)
 
-    def _pass(self, pool: Executor, tiles: list[_Tile], start: int, count: int) -> str | None:
-        # At once what most renders need in all: nets are not cheap to begin again.
-        needed = max(start + count, min(self._samples, PREPARED_SAMPLES))
-        self._points[0].prepare(needed)
-        self._points[1].prepare(needed * self._split)
-        for part, points in zip(self._parts, self._part_points, strict=True):
-            points[0].prepare(needed)
-            points[1].prepare(needed * part.split)
-        pending = {pool.submit(_quietly, self._work, tile, start, count): tile for tile in tiles}
+        def done(rays: int) -> None:
+            self._done += rays
+
+        pending = {pool.submit(_quietly, plain.sample, tile, start, count, done): tile for tile in tiles}
 
         def text() -> str:
             part = min(self._done / max(self._pass_work, 1), 1.0)
-            return f"Sample {start + int(count * part)}/{self._samples}"
+            return f"Sample {start + int(count * part)}/{samples}"
 
         # A first sample everywhere comes before any limit, or there would be holes.
-        return self._wait(
-            pending, self._finish, text, start / self._samples, count / self._samples, always=start == 0
-        )
+        return self._wait(pending, self._finish, text, start / samples, count / samples, always=start == 0)
 
     def _wait(
         self,
@@ -612,7 +506,7 @@ class _Render:
             raise
         return ended
 
-    def _finish(self, future: Future, tile: _Tile) -> None:
+    def _finish(self, future: Future, tile: Tile) -> None:
         future.result()
         x0, y0 = self._camera.region[:2]
         self._show(tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
@@ -633,123 +527,16 @@ class _Render:
         if self._stop.is_set():
             raise _Cancelled
 
-    def _work(self, tile: _Tile, start: int, count: int) -> None:
-        """Add samples ``start`` to ``start + count`` to the film's pixels of one tile."""
-        self._check()
-        pixels = tile.pixels()
-        if not self._active[tile.blocks()].all():
-            pixels = pixels[self._active[pixels.y // BLOCK, pixels.x // BLOCK]]
-        choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
-        if self._keep_choices:
-            tile.choice = choice
-        integrand = DirectLightOverTile(self._integrand, choice, self._check, seen=self._seen is None)
-        column, row = pixels.x - self._camera.region[0], pixels.y - self._camera.region[1]
-        film = self._surface
-
-        def after_first(part: slice, first: int, hits) -> None:
-            depth = hits.depth.reshape(part.stop - part.start, -1)
-            if first == 0:
-                film.depth[row[part], column[part]] = np.minimum(depth[:, 0], FAR)
-            self._done += depth.size
-
-        if self._quadrature:
-            sums = sum_quadrature(
-                integrand, pixels, pixels.key(), self._points[0], start, count, self._tolerance, after_first
-            )
-        else:
-            sums = sum_samples(
-                integrand,
-                pixels,
-                pixels.key(),
-                self._points,
-                start,
-                count,
-                self._split,
-                self._settings.batch_size,
-                after_first,
-            )
-        mean = sums.values / count
-        if self._seen is not None:
-            mean[:3] += self._seen[0][:, column, row]
-        mean = np.minimum(mean, LARGEST).astype(np.float32)
-        before = film.combined[row, column].T
-        if self._settings.noise_threshold and start == count and 2 * start >= self._settings.min_samples:
-            channels = slice(0, 4 if self._settings.transparent else 3)
-            self._retire_blocks(pixels, before[channels], mean[channels])
-        share = np.float32(count / (start + count))
-        if self._spread is not None and start == count:
-            number = row.astype(np.int64) * film.depth.shape[1] + column
-            self._spread.half[:, number] = (before[:3] - mean[:3]) / 2
-        film.combined[row, column] = (before + (mean[:4] - before) * share).T
-        if self._settings.normals:
-            old = film.normal[row, column].T
-            film.normal[row, column] = (old + (mean[4:7] - old) * share).T
-        film.sample_count[row, column] = start + count
-        self._count(integrand)
-        for part, layer, points in zip(self._parts, self._film.layers[1:], self._part_points, strict=True):
-            if not self._parts_done:
-                self._sample_plainly(part, layer, points, pixels, row, column, start, count)
-
-    def _sample_plainly(
-        self,
-        part: Part,
-        layer: Layer,
-        points: tuple[PointSet, PointSet],
-        pixels: Pixels,
-        row: np.ndarray,
-        column: np.ndarray,
-        start: int,
-        count: int,
-    ) -> None:
-        """Add samples of fog or lasers to the pixels of one tile."""
-        if self._quadrature and part.plain.rest_dimensions == 1:
-            sums = sum_quadrature(part.plain, pixels, pixels.key(), points[0], start, count, self._tolerance)
-        else:
-            sums = sum_samples(
-                part.plain, pixels, pixels.key(), points, start, count, part.split, self._settings.batch_size
-            )
-        mean = np.clip(sums.values[:3] / count, -LARGEST, LARGEST)
-        before = layer.radiance[row, column].T
-        share = np.float32(count / (start + count))
-        layer.radiance[row, column] = (before + (mean - before) * share).T
-        layer.sample_count[row, column] = start + count
-
     def _count(self, spent: DirectLightOverTile) -> None:
         """Add up what evaluations cost; called once for a tile, so that it costs nothing itself."""
         with self._counting:
             self._counts.update(spent.counts)
 
-    def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
-        """Stop blocks whose error is small enough, judged by two halves (C, B) of their samples.
-
-        The difference of two independent halves has twice the standard deviation of their mean; for
-        Sobol points it overestimates the error. The halves enter the picture too: docs/sampling.md
-        states the bias of that.
-        """
-        block = (pixels.y // BLOCK) * self._active.shape[1] + pixels.x // BLOCK
-        block, place = np.unique(block, return_inverse=True)
-        counts = np.bincount(place)
-        error = 0.5 * np.abs(first - second).mean(axis=0, dtype=np.float64)
-        brightness = np.abs(0.5 * (first + second)).mean(axis=0, dtype=np.float64)
-        error = np.sqrt(np.bincount(place, error * error) / counts)
-        brightness = np.bincount(place, brightness) / counts
-        quiet = error <= self._settings.noise_threshold * np.sqrt(brightness)
-        self._active.reshape(-1)[block[quiet]] = False
-
-    def _tell_error(self) -> None:
-        """Fill the film's standard error, from the halves of what every pixel got in its last whole pass."""
-        count = self._surface.sample_count
-        error = standard_error(
-            self._spread, np.minimum(count.ravel(), 2), count.shape, independent=True
-        ).reshape(3, *count.shape)
-        if self._seen is not None:
-            error = np.hypot(error, self._seen[1].transpose(0, 2, 1))
-        self._surface.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
-
     def _report(self) -> None:
         end = time.perf_counter()
         film = self._film
         film.compose(0, 0, *self._camera.region_size, self._settings.standard_error)
+        self._counts.update(self._plain.counts)
         if not self._parts_done:
             for part in self._parts:
                 self._counts.update(part.counts())
@@ -787,32 +574,3 @@ def _quietly(function: Callable, *arguments: Any) -> Any:
     """What over- or underflows is dealt with where it matters; NumPy's state is each thread's own."""
     with np.errstate(all="ignore"):
         return function(*arguments)
-
-
-def _light_samples(lights: int) -> int:
-    """Shadow rays for each camera ray: one for one light, up to 8 (a power of two) for several.
-
-    An edge of a shadow integrates as n^-0.75 over a net of n points, so several lights want their
-    nets long more than they want camera rays (docs/sampling.md has the figures).
-    """
-    return 1 << (min(max(lights, 1), 8) - 1).bit_length()
-
-
-def _tile_size(camera: Camera, threads: int) -> int:
-    """A multiple of `BLOCK` that gives every thread some tiles, and every tile enough pixels for a batch."""
-    width, height = camera.region_size
-    edge = int(np.sqrt(width * height / (8 * threads)))
-    return int(np.clip(edge // BLOCK * BLOCK, 32, 128))
-
-
-def _tiles(camera: Camera, size: int) -> list[_Tile]:
-    """The region cut along a grid aligned to the whole frame, from its middle outwards."""
-    x0, y0, x1, y1 = camera.region
-    tiles = [
-        _Tile(max(x, x0), max(y, y0), min(x + size, x1), min(y + size, y1))
-        for y in range(y0 // size * size, y1, size)
-        for x in range(x0 // size * size, x1, size)
-    ]
-    middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
-    tiles.sort(key=lambda t: max(abs((t.x0 + t.x1) / 2 - middle_x), abs((t.y0 + t.y1) / 2 - middle_y)))
-    return tiles

@@ -22,7 +22,7 @@ from .integration.mapping import Map
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, Regions, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange, weighted
-from .integration.standard_error import box_sums
+from .learned import Learned
 from .parts import SHADOW_RAYS, OverScreen, cell_of
 from .settings import Settings
 from .transport.around_light import Wedge
@@ -40,9 +40,6 @@ FEWEST = 4096
 
 PILOT_ONE_IN = 48
 """One pixel in so many is sampled first, and tells its block how right the nodes' prediction is."""
-
-LOG_BLOCK = 3
-"""log2 of the edge in pixels of the blocks that pilot samples speak for, with the blocks around."""
 
 ROWS = 64
 """Of the picture at once; whole blocks."""
@@ -62,14 +59,8 @@ DEAR = 8.0
 MOST_DEAR = 4
 """What chances are divided by at most."""
 
-PLACE = 1 / 64
-"""Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
-
 OUTLINE_OF_SHADOW = 0.06
 """Deviation of a sample, of the radiance, within `NEAR` pixels of regions that a shadow's outline crosses."""
-
-FAITH = 0.5
-"""How many samples' worth the whole picture weighs beside what the blocks around a pixel show."""
 
 OUTLINE_WEIGHT = 2.0
 """Of their deviation, from four samples on: across an edge the error of a net falls faster than by the root
@@ -110,9 +101,6 @@ AT_BESIDE = 2
 
 PIECES = 8
 """Into which a batch is parted, as a sample is many evaluations, and all workers should have some."""
-
-FLOOR = 0.002
-"""Deviation of a sample, of the picture's mean radiance, below which no node is believed."""
 
 MOST = 1 << 12
 """Samples of a pixel at most."""
@@ -562,74 +550,6 @@ def _finite(radiance: np.ndarray) -> np.ndarray:
 def _summed(a: np.ndarray) -> np.ndarray:
     """(H, W) sums over the channels of a (H, W, 3)."""
     return a[..., 0] + a[..., 1] + a[..., 2]
-
-
-class Learned:
-    """Deviation of a sample: what the nodes predicted, as right as it was in the blocks around.
-
-    A pixel's own sample has no say in its own deviation, so that it may be kept.
-    """
-
-    def __init__(self, floor: float, of_blocks: tuple[np.ndarray, np.ndarray], own: np.ndarray) -> None:
-        self._floor, self._of_blocks, self._own = floor, of_blocks, own
-
-    @classmethod
-    def of(cls, found: np.ndarray, rows: np.ndarray, said: np.ndarray, bright: float) -> Learned:
-        """found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
-
-        bright : the picture's mean radiance, channels summed.
-        """
-        width = said.shape[1]
-        floor = (
-            (FLOOR * bright) ** 2
-            + 1e-4 * float(np.einsum("yx,yx->", said, said, dtype=np.float64)) / said.size
-            + 1e-300
-        )
-        own = np.square(said.reshape(-1)[rows], dtype=np.float64) + floor
-        shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
-        block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
-        sums = [
-            box_sums(np.bincount(block, weights, shape[0] * shape[1]).reshape(1, *shape), 1)[0]
-            for weights in (found, own, np.ones(len(rows)))
-        ]
-        # Of the whole picture what is typical: a few outliers are no reason to sample it all.
-        some = sums[2] > 0
-        typical = np.median(sums[0][some] / np.maximum(sums[1][some], 1e-300)) if some.any() else 1.0
-        typical_mean = np.median(sums[0][some] / sums[2][some]) if some.any() else 0.0
-
-        def ratio_and_mean(seen, hoped, count):
-            prior = FAITH * np.where(count > 0, hoped / np.maximum(count, 1), 1e-300)
-            ratio = np.where(count > 0, (seen + prior * typical) / np.maximum(hoped + prior, 1e-300), typical)
-            return ratio, PLACE * (seen + FAITH * typical_mean) / (count + FAITH)
-
-        less = [s.reshape(-1)[block] for s in sums]
-        less = (np.maximum(a - b, 0) for a, b in zip(less, (found, own, 1), strict=True))
-        own_ratio, own_mean = ratio_and_mean(*less)
-        return cls(floor, ratio_and_mean(*sums), own * own_ratio + own_mean)
-
-    def deviation(self, said: np.ndarray, rows: slice, further: np.ndarray) -> np.ndarray:
-        """(h, W) float64 of pixels in some rows, the first of a block's.
-
-        said : (h, W) the nodes'. further : (h, W) variance that is known for sure.
-        """
-        ratio, mean = (_of_pixels(a, rows, said.shape[1]) for a in self._of_blocks)
-        square = np.square(said, dtype=np.float64)
-        square += self._floor
-        square *= ratio
-        square += mean
-        square += further
-        return np.sqrt(square, out=square)
-
-    def of_samples(self, further: float | np.ndarray = 0.0) -> np.ndarray:
-        """(R,) of the pixels that it was learned from, by the others."""
-        return np.sqrt(self._own + np.square(further, dtype=np.float64))
-
-
-def _of_pixels(of_blocks: np.ndarray, rows: slice, width: int) -> np.ndarray:
-    """(h, W) of pixels in ``rows``, the first of a block's, values of their blocks."""
-    edge = 1 << LOG_BLOCK
-    values = of_blocks[rows.start >> LOG_BLOCK : -(-rows.stop >> LOG_BLOCK)]
-    return np.repeat(np.repeat(values, edge, axis=1)[:, :width], edge, axis=0)[: rows.stop - rows.start]
 
 
 def _missed(outlines: np.ndarray, bright: np.ndarray) -> np.ndarray:

@@ -327,7 +327,7 @@ def _of_lasers(
 ) -> list[Part]:
     parts = []
     reflection = Reflection(
-        np.array([material.reflectance for material in scene.materials]).T,
+        np.array([material.reflectance for material in scene.materials]).reshape(-1, 3).T,
         surfaces.surfaces.triangles.material,
     )
     stage = surfaces.stage

@@ -13,7 +13,7 @@ import pytest
 from scenes import area_light, assert_picture_is_sound, floor, mixed_lights, nasty_scene, studio
 
 import engine_core
-from engine_core import Camera, PointLight, Scene, Settings, SunLight, World, render
+from engine_core import Camera, Laser, PointLight, Scene, Settings, SunLight, Volume, World, render
 
 SCENES = 100
 AT_ONCE = 25
@@ -95,6 +95,17 @@ def test_background_alone_is_exact():
     camera = Camera.look_at((0, 0, 5), (0, 0, 10), 20, 20, up=(0, 1, 0))
     film = render(Scene(camera, [floor()], world=World((0.1, 1e20, 0))), Settings(samples=3))
     assert np.allclose(film.combined, np.float32([0.1, 1e20, 0, 1]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("light", [PointLight(10.0, position=(0, 0, 2)), Laser(10.0)])
+@pytest.mark.parametrize("volume", [-1, 0])
+def test_a_scene_needs_no_mesh_and_no_material(light, volume):
+    camera = Camera.look_at((0, -5, 2), (0, 0, 0), 32, 24)
+    scene = Scene(camera, (), (), (light,), World(0.0, volume=volume), volumes=(Volume(0.1),))
+    for integrator in ("control_variates", "sobol"):
+        film = render(scene, Settings(2, integrator=integrator))
+        assert_picture_is_sound(film)
+        assert (film.combined[..., :3].max() > 0) == (volume == 0)
 
 
 @pytest.mark.full

@@ -130,7 +130,8 @@ class CameraStage:
         if scene.world.visible_to_camera and not transparent:
             self._background = np.maximum(scene.world.radiance, 0).astype(np.float32)
         materials = scene.materials
-        self._emission = np.maximum([m.emission for m in materials], 0).astype(np.float32).T.copy()
+        emission = np.array([m.emission for m in materials]).reshape(-1, 3)
+        self._emission = np.maximum(emission, 0).astype(np.float32).T.copy()
         used = np.unique(surfaces.triangles.material)
         self._emits = bool(self._emission[:, used].any())
         glows = self._emits or bool(shader.emits.any() or self._background.any())

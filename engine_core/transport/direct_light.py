@@ -157,7 +157,8 @@ class DirectLight:
         self.samples_every = self.only_points and 1 < len(self.lights) <= EVERY_POINT
         self.screen_dimensions = self.stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
-        self._reflectance = np.array([m.reflectance for m in materials], np.float32).T / np.float32(np.pi)
+        reflectance = np.array([m.reflectance for m in materials], np.float32).reshape(-1, 3)
+        self._reflectance = reflectance.T / np.float32(np.pi)
         self._one_material = len(materials) == 1
         used = np.unique(triangles.material)
         self.reflects = len(self.lights) > 0 and not (

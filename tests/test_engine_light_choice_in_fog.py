@@ -12,10 +12,11 @@ from scipy import integrate, stats
 from test_engine_light_choice import lights_of
 
 from engine_core import AreaLight, Light, PointLight, SpotLight
-from engine_core.transport.light_choice import CANDIDATES, Lights
+from engine_core.transport.light_choice import CANDIDATES, CELL, Lights
 from engine_core.transport.light_choice_in_fog import (
     WEIGHED,
     AirLights,
+    CellsOfPicture,
     FogChoice,
     RaySegments,
     fog_clusters,
@@ -190,6 +191,21 @@ def test_lights_are_chosen_as_often_as_pdf_says(count: int):
         expected = choice.pdf(only, one, np.full(len(only), segment)) * split
         # Stratified: within a sample or two.
         assert (np.abs(counts - expected) < 3 + 1e-4 * split).all()
+
+
+def test_cells_around_a_place_have_chances_by_how_near_they_are():
+    cells = CellsOfPicture.of(*(a.ravel() for a in np.meshgrid([3, 4, 5], [7, 8])))
+    count = 40_000
+    w = (np.arange(count) + 0.5) / count
+    # 8 pixels right of the middle of cell (4, 7), and as many above; then in the first cell's corner.
+    for at, chances in (((4.75, 7.75), {1: 9, 2: 3, 4: 3, 5: 1}), ((3.01, 7.01), {0: 16})):
+        place = np.repeat(np.array([at]).T * CELL, count, axis=1)
+        cell, left = cells.drawn(place, w)
+        expected = np.array([chances.get(k, 0) for k in range(6)]) / 16
+        assert np.bincount(cell, minlength=6) / count == pytest.approx(expected, abs=1e-4)
+        for k in chances:
+            assert stats.kstest(left[cell == k], "uniform").statistic < 1e-3
+        assert left.dtype == np.float32 and left.min() >= 0 and left.max() < 1
 
 
 def test_a_cell_does_not_depend_on_its_company():

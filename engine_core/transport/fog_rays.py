@@ -19,7 +19,7 @@ class FogRays:
     origin, direction : (3, M) float64, unit directions.
     media : K segments, whose ``ray`` counts the M rays. first : (M + 1,) where those of each ray begin.
     through : (3, K) float32, what transparent surfaces before a segment leave of it; None for all.
-    cell : (M,) ascending rows of the tile's light choice; None where that knows no cells.
+    place : (2, M) of rays in the frame, in pixels; None where nothing wants it.
     knots : (M, L, D, K) of a `Guide`; None without one.
     crossings : rays that went on behind transparent surfaces.
     """
@@ -30,7 +30,7 @@ class FogRays:
     first: np.ndarray
     lane: np.ndarray | None = None
     through: np.ndarray | None = None
-    cell: np.ndarray | None = None
+    place: np.ndarray | None = None
     knots: np.ndarray | None = None
     crossings: int = 0
     values: None = field(default=None, init=False)

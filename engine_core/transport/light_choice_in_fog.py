@@ -20,7 +20,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.vectors import dot, take
-from .light_choice import CandidateLights, Choice, Clusters, Lights, WeighedLights, weighed_clusters
+from .light_choice import (
+    _BELOW_ONE,
+    CELL,
+    CandidateLights,
+    Choice,
+    Clusters,
+    Lights,
+    WeighedLights,
+    weighed_clusters,
+)
 
 WEIGHED = 8
 """How many lights are all weighed for every segment: it costs more than for a point of a surface."""
@@ -225,12 +234,48 @@ def _angle(square: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return 2 * step / (np.maximum(below, 0) + np.float32(2 / np.pi) * np.sqrt(square) * step)
 
 
+class CellsOfPicture(NamedTuple):
+    """The cells of a rectangle, row by row: column and row of the first, and how many columns and rows."""
+
+    first: tuple[int, int]
+    count: tuple[int, int]
+
+    @classmethod
+    def of(cls, x: np.ndarray, y: np.ndarray) -> CellsOfPicture:
+        """Of cells' columns and rows (K,)."""
+        first = int(x.min()), int(y.min())
+        return cls(first, (int(x.max()) - first[0] + 1, int(y.max()) - first[1] + 1))
+
+    def drawn(self, place: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cells (N,) for places (2, N) in pixels, by w (N,), and what that left of it.
+
+        Each of the four whose middles are around has a chance, the nearer the more. With those of one
+        cell for all of its pixels, what a net is wrong by would end at the cells' edges, and be seen there.
+        """
+        cell, w = np.zeros(w.shape, np.intp), w.astype(np.float64)
+        for axis in (1, 0):
+            at = place[axis].astype(np.float64) / CELL - 0.5 - self.first[axis]
+            low = np.floor(at)
+            part = at - low
+            second = w < part
+            w -= np.where(second, 0, part)
+            w /= np.where(second, part, 1 - part)
+            index = np.clip(low + second, 0, self.count[axis] - 1).astype(np.intp)
+            cell = cell * self.count[axis] + index
+        return cell, np.clip(w, 0, _BELOW_ONE).astype(np.float32)
+
+
 class FogChoice:
     """A discrete distribution over lights for every segment, in which none of them has no chance."""
 
-    def __init__(self, lights: AirLights, clusters: list[Clusters] | None) -> None:
-        """clusters : of each cell, as `fog_clusters` finds them; None for at most `WEIGHED` lights."""
-        self._lights = lights
+    def __init__(
+        self,
+        lights: AirLights,
+        clusters: list[Clusters] | None = None,
+        cells: CellsOfPicture | None = None,
+    ) -> None:
+        """clusters : of each of ``cells``, by `fog_clusters`; None for at most `WEIGHED` lights."""
+        self._lights, self.cells = lights, cells
         self._choice = WeighedLights(lights) if clusters is None else CandidateLights(lights, clusters)
 
     def choose(self, where: RaySegments, cell: np.ndarray | None, w: np.ndarray) -> Choice:

@@ -81,12 +81,13 @@ class ScatteredLight(Scattered):
 
     def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
         rays = super().first(pixels, u)
+        by_cells = self._choice is not None and self._choice.cells is not None
+        if self.guide is not None or by_cells:
+            corner = np.stack([pixels.x, pixels.y])
+            place = (corner[:, :, None] + u[:2]).reshape(2, -1)
+            rays.place = place if rays.lane is None else take(place, rays.lane)
         if self.guide is not None:
-            places = (
-                (corner[:, None] + at).ravel() for corner, at in zip((pixels.x, pixels.y), u, strict=True)
-            )
-            places = (at if rays.lane is None else at.take(rays.lane) for at in places)
-            rays.knots = self.guide.knots(*places)
+            rays.knots = self.guide.knots(*rays.place)
         return rays
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,14 +118,20 @@ class ScatteredLight(Scattered):
             place = self._segment(rays, ray.take(row), light, at[0].reshape(-1, split))
             ray = ray.take(row)
         else:
+            cell, w = None, u[3]
+            if rays.place is not None:
+                cell, w = self._choice.cells.drawn(take(rays.place, ray), w)
+                # A cell at a time.
+                order = np.argsort(cell, kind="stable")
+                cell, w, ray, u = cell.take(order), w.take(order), ray.take(order), take(u, order)
             place = self._segment(rays, ray, None, u[0][:, None])
-            light, of_light, w = self._choice.choose(
-                self._where(rays, ray, place.row), self._cells(rays, ray), u[3][:, None]
-            )
+            light, of_light, w = self._choice.choose(self._where(rays, ray, place.row), cell, w[:, None])
             place.chance *= of_light
             which = np.argsort(light, kind="stable")
             ray, light, w, place = ray.take(which), light.take(which), w.take(which), place.take(which)
             at = take(u[:DIMENSIONS], which)
+            if cell is not None:
+                which = order.take(which)
         parts = []
         for t, density in self._distances(rays, ray, light, place):
             density *= place.chance[:, None]
@@ -146,10 +153,6 @@ class ScatteredLight(Scattered):
         thinnest, media = self._scattering.thinnest, rays.media
         ends = media.start.take(row), media.end.take(row), thinnest.take(media.mixture.take(row))
         return segments(take(rays.origin, ray), take(rays.direction, ray), *ends, thinnest[0])
-
-    @staticmethod
-    def _cells(rays: FogRays, ray: np.ndarray) -> np.ndarray | None:
-        return None if rays.cell is None else rays.cell.take(ray)
 
     def _distances(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray, place: Places

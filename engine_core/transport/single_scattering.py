@@ -31,7 +31,7 @@ from .distance_maps import EquiAngular, within_depth
 from .emitters import PointEmitters, SunEmitters
 from .fog_rays import FogRays, Layers, in_layers, taken
 from .light_choice import CELL, WEIGHED, pilot_points
-from .light_choice_in_fog import AirLights, FogChoice, fog_clusters, segments
+from .light_choice_in_fog import AirLights, CellsOfPicture, FogChoice, fog_clusters, segments
 from .light_samples import SceneLights
 from .media import Media
 from .shadows import Shadows
@@ -83,11 +83,7 @@ class SingleScattering:
     def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
         """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
         origins, directions = self.rays.rays(pixels.x, pixels.y, u)
-        rays = self._in_fog(origins, directions)
-        if len(self.lights) > WEIGHED:
-            cell = np.repeat(pixels.cell, u.shape[2])
-            rays.cell = cell if rays.lane is None else cell.take(rays.lane)
-        return rays
+        return self._in_fog(origins, directions)
 
     def _in_fog(self, origins: np.ndarray, directions: np.ndarray) -> FogRays:
         through, crossings = None, 0
@@ -168,13 +164,13 @@ class SingleScattering:
     ) -> FogChoice | None:
         """The choice among lights ``only`` (L,) in K cells of the picture; None where all are sampled.
 
-        cell_x, cell_y : (K,) numbered from the whole frame's corner. between : called now and then.
+        cell_x, cell_y : (K,) numbered from the frame's corner, row by row. between : called now and then.
         """
         if len(only) <= EVERY:
             return None
         lights = AirLights(self.lights, only)
         if len(only) <= WEIGHED:
-            return FogChoice(lights, None)
+            return FogChoice(lights)
         u = pilot_points(cell_x, cell_y)
         if self.screen_dimensions == 4:
             u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
@@ -193,9 +189,8 @@ class SingleScattering:
         )
         place, direction = np.zeros((7, n), np.float32), np.zeros((3, n), np.float32)
         place[:, found.reshape(-1)], direction[:, found.reshape(-1)] = where
-        return FogChoice(
-            lights, fog_clusters(lights, type(where)(place, direction).reshape(*found.shape), found, between)
-        )
+        clusters = fog_clusters(lights, type(where)(place, direction).reshape(*found.shape), found, between)
+        return FogChoice(lights, clusters, CellsOfPicture.of(cell_x, cell_y))
 
     @property
     def thinnest(self) -> np.ndarray:

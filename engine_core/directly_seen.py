@@ -8,7 +8,7 @@ it finds would decide whether it counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,8 +27,15 @@ PRECISE = 0.01
 RAYS = 1.0
 """Of each pixel for each of `Settings.samples`, on average, at most."""
 
-MOST = 1 << 14
-"""Rays of a pixel, at most."""
+LEAST, MOST = 1 / 8, 1 << 14
+"""Rays of a pixel: for each of `Settings.samples` at least, as no other may see what is in it; and at most."""
+
+FURTHER = 0.5
+"""Part of the contrast that pixels of the other colour two steps further on show, that is expected of one."""
+
+BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
+FURTHER_ON = (*BESIDE, *((x * i, y * j) for x in (-1, 1) for y in (-1, 1) for i, j in ((1, 2), (2, 1))))
+"""Pixels of a chessboard's other colour: those that share an edge with one, and the next."""
 
 LOOKS, LOOKS_SHARE = 16, 1 / 4
 """Rays of a pixel in which a lamp may be seen that only tell how much they differ, at most; and how many in
@@ -36,7 +43,6 @@ all, over the picture's pixels."""
 
 GROUP = 2
 """Of the points: another than those of reflected light. The next is of such looks."""
-
 
 UNKNOWN = 16
 """Samples that are reckoned with at most where a threshold or the clock decides how many there are."""
@@ -120,13 +126,14 @@ class DirectlySeen:
         index = np.indices(bins).reshape(2, -1)
         self.mean = self._rays(index, 0, 1).reshape(3, *bins)
         contrast = contrast_beside(self.mean, self._at_corners(of_lights))
-        rays = np.ones(bins, np.int64)
+        contrast = np.maximum(contrast, FURTHER * contrast_beside(self.mean, around=FURTHER_ON))
+        rays = np.full(bins, 1 << int(np.log2(max(1, LEAST * samples))))
         looks = int(min(LOOKS, LOOKS_SHARE * of_picture / max(np.count_nonzero(of_lights), 1)))
         if looks > 1 and of_lights.any():
             # What is thinner than a pixel no neighbour sees.
             own = self._differ(index[:, of_lights.ravel()], looks, seed)
             contrast[:, of_lights] = np.maximum(contrast[:, of_lights], own)
-            rays[of_lights] = looks
+            rays[of_lights] = np.maximum(rays[of_lights], looks)
         rays = np.maximum(rays, self._shared(contrast.max(axis=0), samples, of_picture, beside))
         for count in np.unique(rays[rays > 1]):
             where = np.flatnonzero(rays.ravel() == count)
@@ -197,21 +204,22 @@ class DirectlySeen:
         return np.concatenate(self._map(look, range(0, index.shape[1], width)), axis=1)
 
 
-def contrast_beside(values: np.ndarray, corners: np.ndarray | None = None) -> np.ndarray:
-    """(C, W, H) difference between the largest and the least of the four that share an edge with each pixel,
-    and of its corners.
+def contrast_beside(
+    values: np.ndarray, corners: np.ndarray | None = None, around: Sequence[tuple[int, int]] = BESIDE
+) -> np.ndarray:
+    """(C, W, H) difference between the largest and the least of the pixels ``around`` each, and its corners.
 
     corners : (C, W + 1, H + 1), NaN where they are unknown.
     """
-    around = [(0, 1), (2, 1), (1, 0), (1, 2)]
     width, height = values.shape[1:]
+    reach = 2
 
     def over_neighbours(choose: np.ufunc, beyond: float) -> np.ndarray:
-        padded = np.pad(values, [(0, 0), (1, 1), (1, 1)], constant_values=beyond)
-        chosen, *others = (padded[:, x : x + width, y : y + height] for x, y in around)
-        chosen = chosen.copy()
-        for other in others:
-            choose(chosen, other, out=chosen)
+        padded = np.pad(values, [(0, 0), (reach, reach), (reach, reach)], constant_values=beyond)
+        chosen = np.full_like(values, beyond)
+        for x, y in around:
+            at = np.s_[:, reach + x : reach + x + width, reach + y : reach + y + height]
+            choose(chosen, padded[at], out=chosen)
         if corners is not None:
             known = np.where(np.isnan(corners), beyond, corners)
             for x, y in np.ndindex(2, 2):

@@ -21,15 +21,16 @@ from time import perf_counter
 
 import numpy as np
 
+from ..bsdf.diffuse import Lambert
 from ..geometry.frame import frame_of
 from ..geometry.surfaces import SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, inverse_length, take
-from ..geometry.warps import cosine_hemisphere
 from ..scene import Scene
 from ..shading.terms import LARGEST
 from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
+from .glow_on_surfaces import GlowDirections
 from .light_choice import (
     CELL,
     WEIGHED,
@@ -143,6 +144,7 @@ class DirectLight:
         stages = ("triangles", "materials", "Embree", "emitters")
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
         self._glows = self.media is not None and self.media.emits
+        self._glowing = GlowDirections(self.media) if self._glows else None
         self.chooses_triangle = self.lights.chooses_triangle
         self.only_points = self.lights.only_points and not self._glows
         self.stage = CameraStage(
@@ -374,27 +376,23 @@ class DirectLight:
         return Reflected(which if lanes is None else lanes.take(which), value, counts)
 
     def _reflect_glow(self, hits: CameraHits, at: np.ndarray, u: np.ndarray) -> list[Reflected]:
-        """Light of glowing fog at points ``at`` (K,), from directions that each lobe samples by u (2, K)."""
-        points = hits.points
-        if hits.slots is None:
-            direction, _ = cosine_hemisphere(take(points.normal, at), u)
-            material = self.surfaces.triangles.material.take(points.triangle.take(at))
-            value = take(self._reflectance, material) * np.float32(np.pi)
+        """Light of glowing fog at points ``at`` (K,), from directions by u (2, K)."""
+        points, slots = hits.points, hits.slots
+        if slots is None:
+            weight = take(self._reflectance, self.surfaces.triangles.material.take(points.triangle))
+            weight *= np.float32(np.pi)
             if hits.throughput is not None:
-                value *= take(hits.throughput, at)
-            return [self._glow_along(points, np.arange(len(at)), at, direction, value)]
+                weight *= hits.throughput
+            slots = [Slot(Lambert(weight, points.normal, points.normal), None, False)]
         parts = []
-        for slot in hits.slots:
+        for slot in slots:
             lanes, row = slot.of(at)
             which = np.arange(len(at)) if lanes is None else lanes
-            if slot.lobe.smooth:
-                direction, measure = cosine_hemisphere(take(slot.lobe.normal, row), take(u, which))
-                value = slot.lobe.evaluate(row, direction)[0] * measure
-            else:
-                direction = slot.lobe.sample(row, take(u, which))
-                value, pdf = slot.lobe.evaluate(row, direction)
-                value /= np.maximum(pdf, np.float32(1e-37))
-            parts.append(self._glow_along(points, which, at.take(which), direction, value))
+            there = at.take(which)
+            direction, value = self._glowing.sample(
+                slot.lobe, row, take(points.position, there), take(u, which)
+            )
+            parts.append(self._glow_along(points, which, there, direction, value))
         return parts
 
     def _glow_along(

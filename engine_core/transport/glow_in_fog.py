@@ -16,10 +16,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ..geometry.vectors import dot, take
-from ..geometry.warps import basis, cap
 from . import phase
 from .direct_light import SHADOW, _inset
 from .distance_maps import EquiAngular, FreePath, within_depth
+from .glowing_bodies import Cap, brightest, chosen
 from .shadows import Shadows
 from .single_scattering import FogRays, Scattered, SingleScattering
 
@@ -38,10 +38,8 @@ class ScatteredGlow(Scattered):
         """shadows : that know of the fog. check : called before every batch; may raise, to give up."""
         super().__init__(scattering, np.zeros(0, np.intp), check)
         self._shadows = shadows
-        balls, beyond = scattering.media.glowing()
-        balls = sorted((ball for ball in balls if 0 < ball[2] < np.inf), key=lambda ball: -ball[2])
         # Where only what glows scatters, there is light from everywhere.
-        self._balls = balls[:BALLS] if beyond else []
+        self._balls = brightest(scattering.media)[:BALLS] if scattering.media.glowing()[1] else []
         bright = np.array([ball[2] for ball in self._balls])
         self._chances = np.append(0.5, 0.5 * bright / bright.sum()) if self._balls else np.ones(1)
 
@@ -61,7 +59,7 @@ class ScatteredGlow(Scattered):
         mixture, start = media.mixture.take(row), media.start.take(row)
         direction, origin = take(rays.direction, ray), take(rays.origin, ray)
         origin = origin + direction * start
-        technique, u = _chosen(self._chances[:, None], u[1:])
+        technique, u = chosen(self._chances[:, None], u[1:])
 
         sigma = self._scattering.thinnest.take(mixture)
         length = within_depth(sigma, media.end.take(row) - start)
@@ -72,7 +70,7 @@ class ScatteredGlow(Scattered):
         position = origin + direction * t
 
         lobes = _Lobes(fog.scattering.take(mixture, axis=2), fog.anisotropy, direction)
-        ways = [lobes] + [_Cap(centre, radius, position) for centre, radius, _ in self._balls]
+        ways = [lobes] + [Cap(centre, radius, position) for centre, radius, _ in self._balls]
         towards = np.empty_like(position)
         for number, way in enumerate(ways):
             rows = np.flatnonzero(technique == number)
@@ -90,17 +88,6 @@ class ScatteredGlow(Scattered):
         self._count(SHADOW, len(lit))
         glow = self._shadows.glow(origins, directions, media.inside.take(row.take(lit)))
         return lit, self._bounded(take(value, lit) * glow)
-
-
-def _chosen(chances: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which (N,) of K things that have ``chances`` (K, N) or (K, 1) u[0] chooses, and u (2, N) without it."""
-    upper = np.cumsum(chances, axis=0)
-    which = np.minimum((u[0] >= upper).sum(axis=0), len(chances) - 1)
-    upper, own = (
-        np.take_along_axis(np.broadcast_to(x, (len(x), u.shape[1])), which[None], 0)[0]
-        for x in (upper, chances)
-    )
-    return which, np.stack([np.clip((u[0] - (upper - own)) / own, 0, 1), u[1]])
 
 
 def _about(
@@ -126,7 +113,7 @@ class _Lobes:
         self._share /= self._share.sum(axis=0)
 
     def sample(self, rows: np.ndarray, u: np.ndarray) -> np.ndarray:
-        which, u = _chosen(self._share.take(rows, axis=1), u)
+        which, u = chosen(self._share.take(rows, axis=1), u)
         return phase.sample(take(self._direction, rows), self._anisotropy.take(which), u)
 
     def pdf(self, towards: np.ndarray) -> np.ndarray:
@@ -139,30 +126,3 @@ class _Lobes:
     def _values(self, towards: np.ndarray) -> np.ndarray:
         angle = phase.half_angle(towards, self._direction)
         return np.stack([phase.value(*angle, g) for g in self._anisotropy])
-
-
-class _Cap:
-    """Directions to a ball, uniform; from inside of it to a cap that grows to the whole sphere."""
-
-    def __init__(self, centre: np.ndarray, radius: float, position: np.ndarray) -> None:
-        """position : (3, N)."""
-        vector = centre[:, None] - position
-        square, ball = dot(vector, vector), radius * radius
-        outside = square > ball
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cos = np.sqrt(np.maximum(np.where(outside, 1 - ball / square, 1 - square / ball), 0))
-            self._height = np.where(outside, ball / square / (1 + cos), 1 + cos)
-            self._axis = vector / np.sqrt(square)
-        nowhere = ~np.isfinite(self._axis).all(axis=0)
-        self._axis[:, nowhere], self._height[nowhere] = np.eye(3)[:, 2:], 2.0
-
-    def sample(self, rows: np.ndarray, u: np.ndarray) -> np.ndarray:
-        x, y, less = cap(*u, self._height.take(rows))
-        axis = take(self._axis, rows)
-        s, t = basis(axis)
-        return x * s + y * t + (1 - less) * axis
-
-    def pdf(self, towards: np.ndarray) -> np.ndarray:
-        apart = towards - self._axis
-        within = dot(apart, apart) <= 2 * self._height * (1 + 1e-6)
-        return np.where(within, 1 / (2 * np.pi * self._height), 0)

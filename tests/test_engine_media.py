@@ -25,6 +25,7 @@ from engine_core import (
 )
 from engine_core.geometry import boundaries
 from engine_core.geometry.frame import Frame
+from engine_core.geometry.near_balls import NearBalls
 from engine_core.shading.closures import Diffuse, Glossy, Holdout, Mix, Transparent
 from engine_core.transport.direct_light import ALPHA, RGB, DirectLight, Pixels
 from engine_core.transport.light_choice import EveryLight
@@ -333,6 +334,62 @@ def test_many_bodies() -> None:
     np.testing.assert_allclose(media.extinction[0, along.mixture], np.tile([0.01, 0.02], count)[:-1])
     with pytest.raises(RenderError, match="64 meshes enclose a volume"):
         media_of(*64 * [boxes[0]], volumes=(Volume(0.01),))
+
+
+@pytest.mark.parametrize("far", (0.0, 1.0, 300.0))
+@pytest.mark.parametrize("reach", (0.4, np.inf))
+def test_rays_that_may_meet_a_ball_are_all_found(far: float, reach: float) -> None:
+    """And of others few, though balls are small and ``far`` from the frame's centre."""
+    rng = np.random.default_rng(11)
+    balls = [(centre, 0.1) for centre in rng.uniform(-1, 1, (20, 3)) + far]
+    origins, directions = rays(3000, 12)
+    origins += np.float32(far)
+    directions[:5] = 0
+    lengths = np.linalg.norm(directions.astype(float), axis=1)
+    nearest, slack = [], []
+    for centre, _ in balls:
+        to_centre = centre - origins.astype(float)
+        foot = (to_centre * directions).sum(axis=1) / np.maximum(lengths, 1e-30) ** 2
+        there = np.clip(foot, 0, reach)[:, None] * directions
+        nearest.append(np.linalg.norm(to_centre - there, axis=1))
+        slack.append((origins.astype(float) ** 2).sum(axis=1) + (centre**2).sum())
+    ball, ray = NearBalls(balls).pairs(origins, directions, np.full(3000, reach))
+    found = np.zeros((20, 3000), bool)
+    found[ball, ray] = True
+    assert (np.diff(ball * 3000 + ray) > 0).all()
+    met = np.array(nearest) <= 0.1
+    assert met.sum() > 100 and found[met].all()
+    assert not found[np.array(nearest) > np.sqrt(0.1**2 + 2.0**-16 * np.array(slack))].any()
+
+
+def test_what_a_ray_meets_does_not_depend_on_how_many_bodies_there_are() -> None:
+    """Clipped, traced or open, one body alone is found as among others."""
+    open_box = box((-2, -1, 0), (-1, 0, 1), volume=0)
+    meshes = [
+        box(volume=0),
+        sphere((1.5, 0, 0), 0.7, segments=32, volume=0),
+        box((0, 0, 0), (2, 2, 2), volume=0),
+        torus(volume=0),
+        replace(open_box, triangles=open_box.triangles[2:]),
+        sphere((-1.5, 1, 0), 0.5, segments=32, volume=0),
+    ]
+    origins, directions = rays(2000, 13)
+    inside = np.zeros(2000, np.uint64)
+    together = media_of(*meshes, volumes=(Volume(1.0),))
+    depth, met = np.zeros((1, 2000)), np.zeros(2000, np.uint64)
+    for i, mesh in enumerate(meshes):
+        alone = media_of(mesh, volumes=(Volume(1.0),))
+        depth += alone.optical_depth(origins, directions, 1.5)
+        met |= alone.met(origins, directions, 1.5) << np.uint64(i)
+    np.testing.assert_allclose(together.optical_depth(origins, directions, 1.5), depth, atol=1e-5)
+    np.testing.assert_array_equal(together.met(origins, directions, 1.5), met)
+    assert len(np.unique(met)) > 20
+    np.testing.assert_allclose(together.along(origins, directions, 1.5).total, depth, atol=1e-5)
+    first = together.optical_depth(origins, directions, 1.5, inside | np.uint64(1 << 4))
+    alone = media_of(meshes[4], volumes=(Volume(1.0),))
+    began = alone.optical_depth(origins, directions, 1.5, inside + np.uint64(1))
+    other = alone.optical_depth(origins, directions, 1.5)
+    np.testing.assert_allclose(first - depth, began - other, atol=1e-5)
 
 
 def test_there_are_no_media_where_nothing_attenuates_or_glows() -> None:

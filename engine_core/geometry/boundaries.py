@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
+from .near_balls import NearBalls
 from .raytracer import RayTracer
 
 MOST = 63
@@ -27,15 +29,22 @@ _SOME_DIRECTION = np.array([0.4289, 0.6719, 0.6037], np.float32)
 
 @dataclass(eq=False)
 class Spans:
-    """K stretches of rays inside a body: from ``start`` to ``end`` (K,) float64, in lengths of the direction.
+    """K stretches of rays inside bodies: from ``start`` to ``end`` (K,) float64, in lengths of the direction.
 
-    ray : (K,) which of the rays. Those of one ray do not overlap. A span that begins at 0 or ends at the
-    ray's reach may go on there.
+    body, ray : (K,). Those of one ray in one body do not overlap, and come in their order along it. A span
+    that begins at 0 or ends at the ray's reach may go on there.
     """
 
+    body: np.ndarray
     ray: np.ndarray
     start: np.ndarray
     end: np.ndarray
+
+    @staticmethod
+    def joined(spans: list[Spans]) -> Spans:
+        if len(spans) == 1:
+            return spans[0]
+        return Spans(*(np.concatenate([getattr(x, f.name) for x in spans]) for f in fields(Spans)))
 
 
 class Boundaries:
@@ -45,37 +54,35 @@ class Boundaries:
     there. So no state need be handed from ray to ray, and none can be wrong. A mesh turned inside out is
     taken the other way round. In an open mesh, what is entered and not left is inside to the ray's end.
 
-    balls : centre (3,) and radius of a ball around each.
+    convex : whether all bodies are known to be. balls : centre (3,) and radius of a ball around each.
     """
 
     def __init__(self, bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         """bodies : vertices (V, 3) float32 and triangles (T, 3) of each, at most `MOST`."""
-        self.bodies = [_body_of(vertices, triangles) for vertices, triangles in bodies]
         self.balls = [_ball_around(vertices) for vertices, _ in bodies]
+        shapes = [_shape_of(vertices, triangles) for vertices, triangles in bodies]
+        clipped = [i for i, shape in enumerate(shapes) if isinstance(shape, _Planes)]
+        traced = [i for i, shape in enumerate(shapes) if isinstance(shape, _Triangles)]
+        self.convex = not traced
+        self._kinds = [
+            kind(np.array(rows), [shapes[i] for i in rows], NearBalls([self.balls[i] for i in rows]))
+            for kind, rows in ((_Clipped, clipped), (_Traced, traced))
+            if rows
+        ]
 
     def __len__(self) -> int:
-        return len(self.bodies)
-
-    @property
-    def convex(self) -> bool:
-        """Whether all bodies are known to be convex."""
-        return all(isinstance(body, _Convex) for body in self.bodies)
+        return len(self.balls)
 
     def spans(
-        self,
-        body: int,
-        origins: np.ndarray,
-        directions: np.ndarray,
-        reach: np.ndarray,
-        inside: np.ndarray | None,
+        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, inside: np.ndarray | None
     ) -> Spans:
-        """Where rays are inside one body, between 0 and their ``reach`` (N,).
+        """Where rays are inside bodies, between 0 and their ``reach`` (N,).
 
         origins, directions : (N, 3) float32, of any length.
-        inside : (N,) bool, which rays begin inside; None if unknown. Needed of an open body alone, which a
-            ray may not meet any more; of others it saves work.
+        inside : (N,) uint64, the bodies in which rays begin, a bit each; None if unknown. Needed of an open
+            body alone, which a ray may not meet any more; of others it saves work.
         """
-        return self.bodies[body].spans(origins, directions, reach, inside)
+        return Spans.joined([kind.spans(origins, directions, reach, inside) for kind in self._kinds])
 
 
 def _ball_around(vertices: np.ndarray) -> tuple[np.ndarray, float]:
@@ -87,8 +94,11 @@ def _ball_around(vertices: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, float(np.sqrt(((corners - centre) ** 2).sum(axis=1).max()))
 
 
-class _Convex:
-    """A closed convex body of few faces: rays are clipped against slabs, between planes that are parallel."""
+class _Planes:
+    """A closed convex body of few faces: slabs, between planes that are parallel.
+
+    normals : (S, 3) float64. low, high : (S, 1) along them.
+    """
 
     def __init__(self, normals: np.ndarray, offsets: np.ndarray) -> None:
         """normals : (P, 3) float64, outwards. offsets : (P,) of the planes along them."""
@@ -100,14 +110,17 @@ class _Convex:
             if opposite is not None:
                 rest.remove(opposite)
             slabs.append((normals[i], -np.inf if opposite is None else -offsets[opposite], offsets[i]))
-        self._normals = np.array([normal for normal, _, _ in slabs])
-        self._low, self._high = np.array([slab[1:] for slab in slabs]).T[..., None]
+        self.normals = np.array([normal for normal, _, _ in slabs])
+        self.low, self.high = np.array([slab[1:] for slab in slabs]).T[..., None]
 
-    def spans(self, origins, directions, reach, inside) -> Spans:
+    def clip(
+        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (K,) of rays that meet the body, where they begin to be inside, and where they end to be."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            along = 1 / _along(self._normals, directions)
-            height = _along(self._normals, origins)
-            low, high = self._low - height, self._high - height
+            along = 1 / _along(self.normals, directions)
+            height = _along(self.normals, origins)
+            low, high = self.low - height, self.high - height
             low *= along
             high *= along
         # A ray along a slab is between its planes for good, or outside: both are infinite, of one sign. One
@@ -116,8 +129,38 @@ class _Convex:
         end = np.fmax(low, high).min(axis=0)
         np.fmax(start, 0, out=start)
         np.fmin(end, reach, out=end)
-        ray = np.flatnonzero(end > start)
-        return Spans(ray, start.take(ray), end.take(ray))
+        some = np.flatnonzero(end > start)
+        return some, start.take(some), end.take(some)
+
+
+class _Clipped:
+    """Bodies that rays are clipped against."""
+
+    def __init__(self, numbers: np.ndarray, bodies: list[_Planes], near: NearBalls) -> None:
+        """numbers : (B,) of the bodies, among all. near : balls around them."""
+        self._numbers, self._bodies, self._near = numbers, bodies, near
+
+    def spans(self, origins, directions, reach, inside) -> Spans:
+        if len(self._bodies) == 1:  # to clip is to find out what is near
+            found = self._bodies[0].clip(origins, directions, reach)
+            return Spans(np.full(len(found[0]), self._numbers[0]), *found)
+        body, ray = self._near.pairs(origins, directions, reach)
+        found = []
+        for number, planes, of_body in zip(
+            self._numbers, self._bodies, _runs(body, len(self._bodies)), strict=True
+        ):
+            rows = ray[of_body]
+            some, start, end = planes.clip(
+                origins.take(rows, axis=0), directions.take(rows, axis=0), reach.take(rows)
+            )
+            found.append(Spans(np.full(len(some), number), rows.take(some), start, end))
+        return Spans.joined(found)
+
+
+def _runs(body: np.ndarray, count: int) -> list[slice]:
+    """Where each of ``count`` bodies is in ascending numbers (P,)."""
+    bounds = np.searchsorted(body, np.arange(count + 1))
+    return [slice(*bound) for bound in pairwise(bounds)]
 
 
 def _along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -128,110 +171,128 @@ def _along(normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return out
 
 
-class _Traced:
-    """Any body: a tracer of its triangles, which rays that miss its bounding box never meet.
+@dataclass(eq=False)
+class _Triangles:
+    """Any body, by its triangles.
 
-    sign : -1 if its triangles face inwards. closed : whether every edge joins two triangles.
-    convex : whether rays leave it but once.
+    sign : -1 if they face inwards. closed : whether every edge joins two of them. convex : whether rays leave
+    it but once.
     """
 
-    def __init__(
-        self, vertices: np.ndarray, triangles: np.ndarray, sign: int, closed: bool, convex: bool
-    ) -> None:
-        self._convex = convex
-        self._tracer = RayTracer(vertices, triangles)
-        self._sign, self._closed = np.float32(sign), closed
-        used = vertices[triangles.ravel()] if len(triangles) else np.zeros((1, 3), np.float32)
-        self._low, self._high = used.min(axis=0).astype(np.float64), used.max(axis=0).astype(np.float64)
-        self._size = max(-self._low.min(), self._high.max(), 0.0)
+    vertices: np.ndarray
+    triangles: np.ndarray
+    sign: int
+    closed: bool
+    convex: bool
+
+
+class _Traced:
+    """Bodies that rays are traced against: a tracer each, of what comes near it."""
+
+    def __init__(self, numbers: np.ndarray, bodies: list[_Triangles], near: NearBalls) -> None:
+        """numbers : (B,) of the bodies, among all. near : balls around them."""
+        self._numbers, self._near = numbers, near
+        self._tracers = [RayTracer(body.vertices, body.triangles) for body in bodies]
+        self._sign = np.array([body.sign for body in bodies], np.float32)
+        self._convex = np.array([body.convex for body in bodies])
+        closed = np.array([body.closed for body in bodies])
+        self._closed, self._open = closed, np.flatnonzero(~closed)
+        none = np.zeros((1, 3), np.float32)
+        used = [body.vertices[body.triangles.ravel()] if len(body.triangles) else none for body in bodies]
+        self._low, self._high = (
+            np.array([f(vertices, axis=0) for vertices in used], np.float64) for f in (np.min, np.max)
+        )
+        self._size = np.maximum(np.maximum(-self._low, self._high).max(axis=1), 0.0)
 
     def spans(self, origins, directions, reach, inside) -> Spans:
-        ray, whole = self._near(origins, directions, reach), reach
-        crossed = np.zeros(len(origins), bool)
-        known = np.zeros(len(ray), bool) if inside is None else inside.take(ray)
+        body, ray = self._near.pairs(origins, directions, reach)
+        known = np.zeros(len(ray), bool)
+        if inside is not None:
+            known = _bit(inside.take(ray), self._numbers.take(body))
+        rays = reach
         origins, directions, reach = origins.take(ray, axis=0), directions.take(ray, axis=0), reach.take(ray)
         # Off the surface just crossed, by what the arithmetic can be wrong by.
-        size = np.maximum(np.abs(origins).max(axis=1, initial=0), self._size)
+        size = np.maximum(np.abs(origins).max(axis=1, initial=0), self._size.take(body))
         # In float64: a length that overflows makes no step at all, and rays meet one triangle for ever.
         length = np.sqrt(np.square(directions, dtype=np.float64).sum(axis=1))
         offset = _ULPS * size / np.maximum(length, 1e-37)
         last, step = np.zeros((2, len(ray)))
         within = np.zeros(len(ray), bool)  # behind the last crossing, by the side of its triangle
-        found = [Spans(np.zeros(0, np.intp), np.zeros(0), np.zeros(0))]
+        first, crossed = True, (body[:0], ray[:0])
+        nothing = np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0)
+        found = [Spans(*nothing)]
 
         def add(which: np.ndarray, start: np.ndarray, end: np.ndarray | float) -> None:
-            start, end = start[which], np.minimum(end, reach)[which]
-            some = end > start
-            found.append(Spans(ray[which][some], start[some], end[some]))
+            end = np.minimum(end, reach)
+            some = np.flatnonzero(which & (end > start))
+            numbers = self._numbers.take(body.take(some))
+            found.append(Spans(numbers, ray.take(some), start.take(some), end.take(some)))
 
         while ray.size:
-            hits = self._tracer.closest_hit(_at(origins, directions, last + step), directions)
-            met = hits.triangle >= 0
-            if not self._closed:
-                add(~met & within, last, np.inf)
-            ray, origins, directions, reach, known, offset, last, step, within, distance, normal = (
-                x.compress(met, axis=0)
-                for x in (
-                    ray, origins, directions, reach, known, offset, last, step, within,
-                    hits.distance, hits.normal,
-                )
-            )  # fmt: skip
+            met, distance, normal = self._closest(body, _at(origins, directions, last + step), directions)
+            if first:
+                crossed = body[met], ray[met]
             at = last + step + distance
-            entering = self._sign * (normal * directions).sum(axis=1) < 0
-            first = ~crossed.take(ray)
-            crossed[ray] = True
-            if self._closed:
-                # Through an edge, or a sliver, a ray may meet but one of two sides: the point between tells.
-                inside_between = ~entering
-                doubted = np.flatnonzero(np.where(first, inside_between & ~known, inside_between != within))
-                middle = ((last + at) / 2).take(doubted)
-                inside_between[doubted] = self.contains(
-                    _at(origins.take(doubted, axis=0), directions.take(doubted, axis=0), middle)
+            entering = self._sign.take(body) * (normal * directions).sum(axis=1) < 0
+            # Through an edge, or a sliver, a ray may meet but one of two sides of a closed body: the point
+            # between tells.
+            inside_between = ~entering
+            doubted = met & (inside_between & ~known if first else inside_between != within)
+            if self._open.size:
+                closed = self._closed.take(body)
+                add(~met & within & ~closed, last, np.inf)
+                doubted &= closed
+                if not first:
+                    inside_between = np.where(closed, inside_between, within)
+            rows = np.flatnonzero(doubted)
+            if rows.size:
+                middle = ((last + at) / 2).take(rows)
+                inside_between[rows] = self._contain(
+                    body.take(rows), _at(origins.take(rows, axis=0), directions.take(rows, axis=0), middle)
                 )
-            else:
-                inside_between = np.where(first, ~entering, within)
-            add(inside_between, last, at)
+            add(met & inside_between, last, at)
+            on = np.flatnonzero(met & (at < reach) & (entering | ~self._convex.take(body)))
             # Along an edge, or a triangle seen edge-on, hits may repeat: ever further then.
             step = np.where(distance < 4 * step, 2 * step, offset)
-            last, within, on = at, entering, at < reach
-            if self._convex:
-                on &= entering
-            ray, origins, directions, reach, known, offset, last, step, within = (
-                x.compress(on, axis=0)
-                for x in (ray, origins, directions, reach, known, offset, last, step, within)
+            body, ray, origins, directions, reach, known, offset, last, step, within = (
+                x.take(on, axis=0)
+                for x in (body, ray, origins, directions, reach, known, offset, at, step, entering)
             )
-        if inside is not None and not self._closed:
-            never = np.flatnonzero(inside & ~crossed)
-            found.append(Spans(never, np.zeros(len(never)), whole.take(never)))
-        order = np.argsort(np.concatenate([spans.ray for spans in found]), kind="stable")
-        return Spans(
-            *(
-                np.concatenate([getattr(x, name) for x in found]).take(order)
-                for name in ("ray", "start", "end")
+            first = False
+        for k in self._open if inside is not None else ():
+            never = _bit(inside, self._numbers[k])
+            never[crossed[1][crossed[0] == k]] = False
+            rows = np.flatnonzero(never)
+            found.append(
+                Spans(np.full(len(rows), self._numbers[k]), rows, np.zeros(len(rows)), rays.take(rows))
             )
+        return Spans.joined(found)
+
+    def _closest(
+        self, body: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of rays (P, 3) whether they meet their body (P,), at what distance, and the triangle's normal."""
+        hits = [
+            tracer.closest_hit(origins[rows], directions[rows])
+            for tracer, rows in zip(self._tracers, _runs(body, len(self._tracers)), strict=True)
+            if rows.stop > rows.start
+        ]
+        triangle, distance, normal = (
+            np.concatenate([getattr(hit, name) for hit in hits]) if len(hits) > 1 else getattr(hits[0], name)
+            for name in ("triangle", "distance", "normal")
         )
+        return triangle >= 0, distance, normal
 
-    def contains(self, points: np.ndarray) -> np.ndarray:
-        """(K,) bool, which points (K, 3) are inside, by what a ray in some direction meets first."""
-        result = np.zeros(len(points), bool)
-        near = np.flatnonzero(((points >= self._low) & (points <= self._high)).all(axis=1))
-        some = np.ascontiguousarray(np.broadcast_to(_SOME_DIRECTION, (len(near), 3)))
-        hits = self._tracer.closest_hit(points.take(near, axis=0), some)
-        leaving = self._sign * (hits.normal * _SOME_DIRECTION).sum(axis=1) > 0
-        result[near] = leaving & (hits.triangle >= 0)
-        return result
+    def _contain(self, body: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(P,) bool, which points (P, 3) are in their body, by what a ray in some direction meets first."""
+        within = (points >= self._low.take(body, axis=0)) & (points <= self._high.take(body, axis=0))
+        met, _, normal = self._closest(body, points, np.tile(_SOME_DIRECTION, (len(points), 1)))
+        return met & within.all(axis=1) & (self._sign.take(body) * (normal * _SOME_DIRECTION).sum(axis=1) > 0)
 
-    def _near(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Rays that meet the bounding box within their reach."""
-        margin = _ULPS * np.maximum(np.abs(origins).max(initial=0), self._size)
-        near, far = np.zeros(len(origins)), reach
-        for i in range(3):
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                a = (self._low[i] - margin - origins[:, i]) / directions[:, i]
-                b = (self._high[i] + margin - origins[:, i]) / directions[:, i]
-            # They pass over NaN: a ray within the plane of a side meets it everywhere.
-            near, far = np.fmax(near, np.fmin(a, b)), np.fmin(far, np.fmax(a, b))
-        return np.flatnonzero(near <= far)
+
+def _bit(sets: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """(K,) bool, whether a body, or each of some (K,), is in sets of bits (K,)."""
+    return (sets >> body.astype(np.uint64)) & np.uint64(1) > 0
 
 
 def _at(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -239,7 +300,7 @@ def _at(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np
     return (origins + directions * distance[:, None]).astype(np.float32)
 
 
-def _body_of(vertices: np.ndarray, triangles: np.ndarray) -> _Convex | _Traced:
+def _shape_of(vertices: np.ndarray, triangles: np.ndarray) -> _Planes | _Triangles:
     """The body that triangles enclose; those with a corner that is not finite are left out."""
     vertices = np.ascontiguousarray(vertices, np.float32)
     finite = np.isfinite(vertices).all(axis=1)
@@ -255,12 +316,12 @@ def _body_of(vertices: np.ndarray, triangles: np.ndarray) -> _Convex | _Traced:
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     sign = -1 if (a * np.cross(b, c)).sum() < 0 else 1
     if not closed:
-        return _Traced(vertices, triangles, sign, closed, False)
+        return _Triangles(vertices, triangles, sign, closed, False)
     corners = vertices.astype(np.float64)
     planes = _planes_of(corners, triangles, sign)
     if planes is None:
-        return _Traced(vertices, triangles, sign, closed, _is_convex(corners, triangles, sign))
-    return _Convex(*planes)
+        return _Triangles(vertices, triangles, sign, closed, _is_convex(corners, triangles, sign))
+    return _Planes(*planes)
 
 
 def _is_closed(triangles: np.ndarray, count: int) -> bool:

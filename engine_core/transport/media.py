@@ -27,6 +27,8 @@ DIRECT = 12
 _SLIVER = 4e-7
 """Of the distance: spans that are shorter are what rounding makes of coincident faces."""
 
+_FOR_EVER = 1e300
+
 
 @dataclass(eq=False)
 class RayMedia:
@@ -186,28 +188,28 @@ class Media:
             that are open.
         """
         directions, reach = _broadcast(origins, directions, reach)
-        length = np.zeros((self.bodies + 1, len(origins)))
-        for body in range(self.bodies):
-            spans = self._boundaries.spans(body, origins, directions, reach, _bit(inside, body))
-            length[body] = np.bincount(spans.ray, spans.end - spans.start, len(origins))
-        length[-1] = reach
-        sigma = self._extinction
+        n = len(origins)
+        depth = np.zeros((self._extinction.shape[1], n))
         with np.errstate(over="ignore", invalid="ignore"):
-            length *= _norm(directions)
-            depth = np.zeros((sigma.shape[1], len(origins)))
-            for coefficients, lengths in zip(sigma, length, strict=True):
-                for out, coefficient in zip(depth, coefficients, strict=True):
-                    if coefficient > 0:
-                        out += coefficient * lengths
+            unit = _norm(directions)
+            if self.bodies:
+                spans = self._boundaries.spans(origins, directions, reach, inside)
+                # Finite, as 0 times it is 0.
+                length = np.minimum((spans.end - spans.start) * unit.take(spans.ray), _FOR_EVER)
+                for out, coefficients in zip(depth, self._extinction[:-1].T, strict=True):
+                    out += np.bincount(spans.ray, coefficients.take(spans.body) * length, n)
+            for out, coefficient in zip(depth, self._extinction[-1], strict=True):
+                if coefficient > 0:
+                    out += coefficient * (reach * unit)
             return depth.astype(np.float32)
 
     def met(self, origins: np.ndarray, directions: np.ndarray, end: float | np.ndarray) -> np.ndarray:
         """(N,) uint64, the bodies that rays run through before their ``end``; arguments as in `along`."""
         directions, end = _broadcast(origins, directions, end)
         met = np.zeros(len(origins), np.uint64)
-        for body in range(self.bodies):
-            spans = self._boundaries.spans(body, origins, directions, end, None)
-            met[spans.ray] |= np.uint64(1 << body)
+        if self.bodies:
+            spans = self._boundaries.spans(origins, directions, end, None)
+            np.bitwise_or.at(met, spans.ray, _bits(spans.body))
         return met
 
     def along(
@@ -259,21 +261,19 @@ class Media:
         In lengths of the direction. Some may be outside of everything, or have no length.
         """
         n = len(origins)
-        state = np.zeros(n, np.uint64)
-        found = []
-        for body in range(self.bodies):
-            spans = self._boundaries.spans(body, origins, directions, end, _bit(inside, body))
-            state[spans.ray[spans.end >= end.take(spans.ray)]] |= np.uint64(1 << body)
-            found.append(spans)
-        bits = [np.full(len(spans.ray), 1 << body, np.uint64) for body, spans in enumerate(found)]
-        if self.bodies == 1 and not self._fills[0]:
-            return found[0].ray, found[0].start, found[0].end, bits[0], state
-        everywhere = np.arange(n), np.zeros(n)
+        state, everywhere = np.zeros(n, np.uint64), np.arange(n)
         if self.bodies == 0:
-            return *everywhere, end, state, state
-        ray = np.concatenate([everywhere[0]] + [spans.ray for spans in found for _ in range(2)])
-        start = np.concatenate([everywhere[1]] + [t for spans in found for t in (spans.start, spans.end)])
-        changes = np.concatenate([np.zeros(n, np.uint64)] + [b for b in bits for _ in range(2)])
+            return everywhere, np.zeros(n), end, state, state
+        spans = self._boundaries.spans(origins, directions, end, inside)
+        bits = _bits(spans.body)
+        on = np.flatnonzero(spans.end >= end.take(spans.ray))
+        np.bitwise_or.at(state, spans.ray.take(on), bits.take(on))
+        if self.bodies == 1 and not self._fills[0]:
+            order = np.argsort(spans.ray, kind="stable")
+            return *(x.take(order) for x in (spans.ray, spans.start, spans.end, bits)), state
+        ray = np.concatenate([everywhere, spans.ray, spans.ray])
+        start = np.concatenate([np.zeros(n), spans.start, spans.end])
+        changes = np.concatenate([np.zeros(n, np.uint64), bits, bits])
         order = _by_ray(ray, start)
         ray, start = ray.take(order), start.take(order)
         # All spans end with their ray at the latest, so bits need no new beginning there.
@@ -302,8 +302,9 @@ class Media:
         return np.broadcast_to(np.exp(-depth), (3, depth.shape[1]))
 
 
-def _bit(inside: np.ndarray | None, body: int) -> np.ndarray | None:
-    return None if inside is None else (inside >> np.uint64(body)) & np.uint64(1) > 0
+def _bits(body: np.ndarray) -> np.ndarray:
+    """(K,) uint64 sets of one body each."""
+    return np.left_shift(np.uint64(1), body.astype(np.uint64))
 
 
 def _broadcast(

@@ -28,7 +28,7 @@ RAYS = 1.0
 """Of each pixel for each of `Settings.samples`, on average, at most."""
 
 LEAST, MOST = 1 / 8, 1 << 14
-"""Rays of a pixel: for each of `Settings.samples` at least, as no other may see what is in it; and at most."""
+"""Rays of a pixel: for each of `Settings.samples` at least, as no other may see what is in it; at most."""
 
 FURTHER = 0.5
 """Part of the contrast that pixels of the other colour two steps further on show, that is expected of one."""

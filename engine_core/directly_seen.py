@@ -24,8 +24,9 @@ OF_EDGE = 0.365
 PRECISE = 0.01
 """Error that is wanted, of the picture's mean radiance, with one sample a pixel; with n, n^-3/4 of it."""
 
-RAYS = 1.0
-"""Of each pixel for each of `Settings.samples`, on average, at most."""
+RAYS, FEWEST = 1.0, 1 << 15
+"""Of each pixel for each of `Settings.samples`, on average, at most; or so many in all, as a small picture has
+no fewer edges in a pixel than a large one."""
 
 LEAST, MOST = 1 / 8, 1 << 14
 """Rays of a pixel: for each of `Settings.samples` at least, as no other may see what is in it; at most."""
@@ -157,7 +158,7 @@ class DirectlySeen:
             # By c^0.8 k rays in each pixel, the sum of squared errors is OF_EDGE^2 k^-1.5 sum(c^0.8).
             wanted = PRECISE * samples**-0.75 * bright
             k = (OF_EDGE**2 * total / (pixels * wanted**2)) ** (2 / 3)
-            k = min(k, RAYS * samples * pixels / total)
+            k = min(k, max(RAYS * samples * pixels, FEWEST / 2) / total)
             rays[which] = np.exp2(np.rint(np.log2(np.clip(k * share, 1, MOST)))).astype(np.int64)
         return rays
 

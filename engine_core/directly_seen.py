@@ -25,8 +25,8 @@ PRECISE = 0.01
 """Error that is wanted, of the picture's mean radiance, with one sample a pixel; with n, n^-3/4 of it."""
 
 RAYS, FEWEST = 1.0, 1 << 15
-"""Of each pixel for each of `Settings.samples`, on average, at most; or so many in all, as a small picture has
-no fewer edges in a pixel than a large one."""
+"""Of each pixel for each of `Settings.samples`, on average, at most; or so many in all, as a small picture
+has no fewer edges in a pixel than a large one."""
 
 LEAST, MOST = 1 / 8, 1 << 14
 """Rays of a pixel: for each of `Settings.samples` at least, as no other may see what is in it; at most."""

@@ -571,6 +571,15 @@ def test_outlines_of_fog_are_where_bodies_differ():
     assert found[~differ].mean() < 0.04
 
 
+@pytest.mark.parametrize("width, whole", [(9.0, True), (1.2, False)])
+def test_fog_that_fills_the_picture_has_no_outline(width, whole):
+    fog = box((-width, 1, -6), (width, 4, 6), volume=0, surface=False)
+    made = DirectLight(Scene(CAMERA, (box(), fog), [Material(0.0)] * 2, LIT["point"], volumes=[FOG]))
+    bodies = silhouettes(made.stage.rays, made.surfaces, CAMERA.region, in_order, made.media)[1]
+    assert (bodies is None) == whole
+    assert whole or of_bodies(bodies).any()
+
+
 def test_regions_know_of_bodies_that_no_node_sees():
     random = np.random.default_rng(6)
 

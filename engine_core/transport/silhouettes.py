@@ -57,6 +57,8 @@ def silhouettes(
         return inverse, None if media is None else media.met(origins, directions, distance)
 
     foggy = media if media is not None and media.bodies else None
+    if foggy is not None and _through_all(rays, region, foggy):
+        foggy = None
     # Corners, and one more beyond each side for the differences.
     x = np.arange(x0 - 1, x1 + 2)
 
@@ -91,6 +93,17 @@ def silhouettes(
         if not fresh.any():
             break
     return found, met[0][1:-1, 1:-1] if met else None
+
+
+def _through_all(rays: CameraRays, region: tuple[int, int, int, int], media: Media) -> bool:
+    """Whether all rays of ``region`` run through all bodies, as those at its corners tell of convex ones."""
+    if not media.convex:
+        return False
+    x, y = (a.ravel() for a in np.meshgrid([region[0] - 1, region[2] + 1], [region[1] - 1, region[3] + 1]))
+    u = np.full((rays.dimensions, len(x), 1), 0.5, np.float32)  # the lens' middle
+    u[:2] = 0
+    met = media.met(*rays.rays(x, y, u), rays.reach)
+    return bool((met == np.uint64((1 << media.bodies) - 1)).all())
 
 
 def of_bodies(met: np.ndarray) -> np.ndarray:

@@ -61,9 +61,13 @@ DIFFERENT = 1.0
 NEXT = 0.25
 """Of a cell's chances, what the cells around get at least: where an edge is, others are not far."""
 
-MISSED = 0.5
+MISSED = 0.25
 """Of a cell's mean chance, what all of its points get at least: where many see an edge, others have one
 between the corners."""
+
+SPECK = 2.0
+"""Times as bright as its cell that one point is at most, over its chance: where what its corners agree on is
+wrong, the pixel is no brighter, nor darker below zero. What no corner sees may be."""
 
 ROUGH = 0.4
 """Mean chance of a cell in whose pixels all points are asked for, at several places."""
@@ -478,7 +482,8 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     rows, columns = values.shape[0] - 1, values.shape[1] - 1
     at_corners = [values[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
-    chance = np.maximum.reduce(at_corners) - np.minimum.reduce(at_corners)
+    largest = np.maximum.reduce(at_corners)
+    chance = largest - np.minimum.reduce(at_corners)
     middle = sum(at_corners) / 4
     bright = middle.mean(axis=2, keepdims=True)
     np.divide(chance, DIFFERENT * bright, out=chance, where=bright > 0)
@@ -487,6 +492,8 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chance *= chance
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
+    np.divide(largest, SPECK * values.shape[2] * bright, out=largest, where=bright > 0)
+    np.maximum(chance, largest, out=chance, where=bright > 0)
     chance *= SURE
     np.ceil(chance, out=chance)
     return np.clip(chance, LEAST, SURE).astype(np.uint16), middle.var(axis=2, dtype=np.float64) / 9

@@ -59,6 +59,16 @@ class Broken:
         return (1 + 0.5 * y / HEIGHT)[:, None] * edge + 3 * (stripe * seen).mean(axis=1)
 
 
+class Slit(Broken):
+    """Bright all over but between two corners of cells, where none of them sees that."""
+
+    def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+        if lane is None:
+            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+        bright = 1.0 - (np.floor(stage.x.take(lane)) == 10)
+        return None, np.stack([bright] * 3).astype(np.float32)
+
+
 def picture(
     seed: int,
     samples: int = 32,
@@ -66,6 +76,7 @@ def picture(
     map_=None,
     enough: bool = False,
     noise: float | None = None,
+    integrand: Broken | None = None,
 ) -> Layer:
     layer = Layer.empty(LASER, WIDTH, HEIGHT)
 
@@ -74,7 +85,7 @@ def picture(
         found[17, 5] = True
         return found
 
-    by = OverNet(Broken(), samples, outlines, fewest=8)
+    by = OverNet(integrand or Broken(), samples, outlines, fewest=8)
     settings = Settings(1, seed=seed, integrator=integrator)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
     made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)
@@ -97,6 +108,13 @@ def test_the_mean_over_seeds_is_the_truth(rounds, tile, monkeypatch):
     assert abs(whole.mean() - truth.mean()) < 3 * whole.std() / np.sqrt(len(seeds))
     # Left of the stripe: as many points by chance, of 0.2 to 0.45 that is lit, have 0.08.
     assert np.median(seeds[..., :7, 0].std(axis=0)) < 0.05
+
+
+def test_what_no_corner_sees_makes_no_specks():
+    made = np.stack([picture(seed, 8, integrand=Slit()).radiance[:, 10, 0] for seed in range(40)])
+    # One point of eight in every other pixel, which is twice as bright as all over its chance.
+    assert sorted(np.unique(made.round(5)).tolist()) == [-1, 1]
+    assert abs(made.mean()) < 4 / made.size**0.5
 
 
 def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):

@@ -241,6 +241,16 @@ class PlainPicture:
         layer.radiance[row, column] = (before + (mean - before) * share).T
         layer.sample_count[row, column] = start + count
 
+    def noise(self) -> float | None:
+        """Error to be expected of a pixel's channel, on average, as the first sample of all tells; None in a
+        picture too narrow for that.
+        """
+        radiance = self._film.combined[..., :3]
+        if self.seen is not None:
+            radiance = radiance - self.seen[0].transpose(2, 1, 0)
+        deviation = mean_deviation(radiance)
+        return None if deviation is None else deviation / self.samples**0.75
+
     def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
         """Stop blocks whose error is small enough, judged by two halves (C, B) of their samples.
 
@@ -267,6 +277,24 @@ class PlainPicture:
         if self.seen is not None:
             error = np.hypot(error, self.seen[1].transpose(0, 2, 1))
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
+
+
+def mean_deviation(radiance: np.ndarray) -> float | None:
+    """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of the next two; None
+    if it is too narrow for that. Of blocks, the root of the mean square, so that rare specks count.
+
+    What is linear makes none; sharper detail counts as if it were noise.
+    """
+    apart = np.abs(np.diff(radiance, 2, axis=1)).sum(axis=2, dtype=np.float64)
+    if apart.size == 0:
+        return None
+    # Of three independent samples a - 2 b + c has six times the variance.
+    square = np.square(apart) / 6
+    for axis, n in enumerate(square.shape):
+        starts = np.arange(0, n, BLOCK)
+        square = np.add.reduceat(square, starts, axis=axis)
+        square /= np.expand_dims(np.diff(np.append(starts, n)), 1 - axis)
+    return float(np.sqrt(square).mean()) / 3
 
 
 def _light_samples(lights: int) -> int:

@@ -133,6 +133,7 @@ class _Render:
             self._integrand, plainly, self._surface, scene.camera, settings, self._threads, self._check
         )
         self._done = self._pass_work = 0
+        self._sampled_once = False
         self._counts: Counter[str] = Counter()
         self._counting = Lock()
         self._integrals = {"control variate": f"skipped: the integrator is {settings.integrator}"}
@@ -150,8 +151,9 @@ class _Render:
             if ended is None and not self._sampled:
                 ended = self._look_for_depth(pool) if self._settings.depth else "samples"
             elif ended is None:
+                ended = self._begin_plain(pool)
                 begin = time.perf_counter()
-                ended = self._see(pool) or self._passes(pool)
+                ended = ended or self._passes(pool)
                 self._stages["seconds sampling"] += time.perf_counter() - begin
                 if self._settings.standard_error:
                     self._plain.finish()
@@ -169,6 +171,9 @@ class _Render:
         """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
         surfaces, ended = self._build_surfaces(pool)
         parts = []
+        if not ended and surfaces is None and self._integrand.shows and self._parts_are_built:
+            # Plain samples come in any case, and the first ones tell what of the fog's noise they hide.
+            ended = self._begin_plain(pool, share=0.0)
         if not ended:
             parts, ended = self._build_parts(pool, surfaces)
         ended = self._refine_parts(pool, parts, surfaces, ended)
@@ -241,21 +246,30 @@ class _Render:
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
+    @property
+    def _parts_are_built(self) -> bool:
+        """Whether there is fog, or are lasers, that something serves better than plain samples."""
+        return bool(self._parts) and self._parts_done
+
     def _build_parts(
         self, pool: Executor, surfaces: ControlVariatePicture | None
     ) -> tuple[list[Built], str | None]:
         """Pictures of fog and lasers, built and shown; and why it was stopped, if it was."""
-        if not (self._parts and self._parts_done):
-            return [], None
         built, ended = [], None
+        if not self._parts_are_built:
+            return built, ended
+        # How many points of a net are worth it depends on what is shown beside.
+        noise = None if surfaces is None else surfaces.noise
+        if self._sampled_once:
+            noise = self._plain.noise()
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
             picture = PICTURES[type(part.by)](
                 part.by, self._settings, self._camera.region, layer, self._check
             )
             build = picture.build
-            if isinstance(picture, NetPicture) and surfaces is not None:
-                build = partial(build, noise=surfaces.noise)
+            if isinstance(picture, NetPicture):
+                build = partial(build, noise=noise)
             outcome, ended = self._drive(pool, build, f"Building {part.name}")
             if not ended:
                 outcome.result()
@@ -404,18 +418,31 @@ class _Render:
         self._count(eye)
         return ended
 
+    def _begin_plain(self, pool: Executor, share: float | None = None) -> str | None:
+        """The first sample of every pixel, once; returns why that was stopped, if it was.
+
+        share : of the whole render that is done then; None where samples are all of it.
+        """
+        if self._sampled_once:
+            return None
+        self._sampled_once, begin = True, time.perf_counter()
+        ended = self._see(pool)
+        if not ended:
+            self._plain.begin()
+            ended = self._pass(pool, self._plain.due(), 0, 1, share)
+        if share is not None:
+            self._done = 0
+        self._stages["seconds sampling"] += time.perf_counter() - begin
+        return ended
+
     def _passes(self, pool: Executor) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
-        plain = self._plain
-        plain.begin()
-        done = 0
+        plain, done = self._plain, 1
         while done < plain.samples:
             tiles = plain.due()
             if not tiles:
                 return "noise"
-            count = min(max(done, 1), plain.samples - done)
-            pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
-            self._pass_work, self._done = pixels * count, 0
+            count = min(done, plain.samples - done)
             ended = self._pass(pool, tiles, done, count)
             if ended:
                 return ended
@@ -449,9 +476,14 @@ class _Render:
         self._show_all()
         return ended
 
-    def _pass(self, pool: Executor, tiles: list[Tile], start: int, count: int) -> str | None:
+    def _pass(
+        self, pool: Executor, tiles: list[Tile], start: int, count: int, share: float | None = None
+    ) -> str | None:
         plain, samples = self._plain, self._plain.samples
         plain.prepare(start + count)
+        pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
+        self._pass_work, self._done = pixels * count, 0
+        share = count / samples if share is None else share
 
         def done(rays: int) -> None:
             self._done += rays
@@ -463,7 +495,7 @@ class _Render:
             return f"Sample {start + int(count * part)}/{samples}"
 
         # A first sample everywhere comes before any limit, or there would be holes.
-        return self._wait(pending, self._finish, text, start / samples, count / samples, always=start == 0)
+        return self._wait(pending, self._finish, text, start / samples, share, always=start == 0)
 
     def _wait(
         self,

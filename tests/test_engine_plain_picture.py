@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the first plain samples of a picture tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import sphere, studio
+
+from engine_core import Material, Settings, Volume, World, render
+from engine_core.plain_picture import mean_deviation
+from engine_core.shading.closures import Emission
+
+
+def test_the_deviation_is_that_of_pixels_and_not_of_what_is_linear():
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[:90, :170]
+    noise = random.normal(scale=0.2, size=y.shape)
+    # Of three hundred samples and more in each of 66 blocks.
+    assert mean_deviation((5 + 0.3 * x - 0.1 * y + noise)[..., None] * [1, 1, 1]) == pytest.approx(
+        0.2, rel=0.03
+    )
+    assert mean_deviation((0.3 * x)[..., None] * [1, 2, 3]) < 1e-12
+    assert mean_deviation(np.ones((40, 2, 3))) is None
+
+
+def test_fog_has_fewer_points_where_plain_samples_of_surfaces_hide_its_noise():
+    made = studio()
+    lamp = sphere((2, -2, 4), 0.5, materials=2)
+    made = replace(
+        made,
+        meshes=[*made.meshes, lamp],
+        materials=[*made.materials, Material(surface=Emission(20.0))],
+        world=World(volume=0),
+        volumes=[Volume(scattering=0.01)],
+    )
+    black = replace(made, materials=[Material(0.0), Material(0.0), made.materials[2]])
+    told = [render(one, Settings(1)).statistics for one in (made, black)]
+    assert "many triangles" in told[0]["control variate"]
+    assert [one["fog lit by lights"][:14] for one in told] == ["about 8 points", "about 16 point"]

@@ -77,10 +77,10 @@ chance makes specks of."""
 LEAST_SHARE = 1 / 6
 """Of that, for samples that every pixel of no polynomial has."""
 
-SPECK = 0.1
+SPECK = 0.2
 """Of the picture's mean radiance, how bright samples that are taken by chance may be, in a picture of one."""
 
-LEAST_OF_BUDGET = 1 / 2
+LEAST_OF_BUDGET = 1 / 10
 """How much of what it may spend a picture does, though surfaces deviate more."""
 
 CALM = 0.5

@@ -99,7 +99,7 @@ of two; 2 at least."""
 AT_BESIDE = 2
 """Samples at least, and an even number, of pixels in such regions that the outline itself does not cross."""
 
-PIECES = 8
+PIECES = 4
 """Into which a batch is parted, as a sample is many evaluations, and all workers should have some."""
 
 MOST = 1 << 12
@@ -377,10 +377,11 @@ class ScreenPicture:
         self._prepare(int(due.max()))
         more = np.flatnonzero(due > self._count)
         amount, approximate = due.reshape(-1)[more], served.reshape(-1)[more]
+        # Whole rays first: what is dearest must not come last, when other workers have nothing left to do.
         self._work = [
             (n, part)
-            for n in np.unique(amount)[::-1]
             for which in (approximate, ~approximate)
+            for n in np.unique(amount)[::-1]
             for part in self._chunks(more[(amount == n) & which], int(n))
         ]
         self.seconds["allocation"] = perf_counter() - began

@@ -39,8 +39,8 @@ TILE = 8
 MOST_OFTEN = 2
 """Binary logarithm of how many times as many points a tile has as the mean at most, or as few at least."""
 
-FEWEST = 8
-"""Points of a tile at least."""
+FEWEST = 4, 8
+"""Points of a tile at least, powers of two: half of the mean, but within these."""
 
 GROWTH = 0.8
 """Points of a tile go as its deviation to this power: variances of nets fall as points to the power 1.5."""
@@ -234,7 +234,8 @@ class NetPicture:
             least = (ERROR / 9 * found.mean() / (HIDDEN * noise) ** 2) ** (2 / 3)
             enough = 1 << int(np.ceil(np.log2(np.clip(least, self._by.fewest, self._by.points))))
             self._take(enough)
-        return _shared(found ** (GROWTH / 2), self._points, FEWEST)
+        fewest = int(np.clip(self._points // 2, *FEWEST))
+        return _shared(found ** (GROWTH / 2), self._points, fewest)
 
     def _of_pixels(self, a: np.ndarray) -> np.ndarray:
         """(H, W) of pixels, of what is one number for each tile."""
@@ -317,23 +318,23 @@ class NetPicture:
         return row, column, means
 
     def _add_rough(self, x: np.ndarray, y: np.ndarray, spread: np.ndarray, count: int) -> None:
-        """All ``count`` points of the net in pixels (B,), each at one of `PLACES`; spread : (B,) of points.
+        """All ``count`` points of the net in pixels (B,), at a few places in turn; spread : (B,) of points.
 
         It is the same net as of all others: that it showed where it is needed must not change the mean.
         """
-        step, net = max(1, BATCH // count), self._net[:, :count]
+        step, net, places = max(1, BATCH // count), self._net[:, :count], min(PLACES, count)
         for low in range(0, len(x), step):
             self._check()
             part = slice(low, min(low + step, len(x)))
             pixels, n = self._pixels(x[part], y[part]), len(x[part])
-            stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, PLACES))
+            stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, places))
             # Consecutive points are nets of their own.
-            f = values_at(self._integrand, stage, n * PLACES, None, np.tile(net, n))[:3]
+            f = values_at(self._integrand, stage, n * places, None, np.tile(net, n))[:3]
             value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T
             at, layer = (y[part], x[part]), self._layer
             layer.radiance[at] += value
             layer.residual[at] += value
-            layer.sample_count[at] += PLACES
+            layer.sample_count[at] += places
             layer.standard_error[at] += (spread[part] / count**1.5)[:, None]
 
     def _at_corners(self, rows: np.ndarray, columns: np.ndarray, count: int) -> np.ndarray:

@@ -63,7 +63,7 @@ RAYS_OF_MANY = 20, 12, 9
 """Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
 each."""
 
-LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 8, 32
+LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 4, 32
 """Of the net of lights with a size, in fog, in a picture of one sample, and where surfaces' noise is far more
 than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
 know where it is."""
@@ -124,7 +124,7 @@ class OverScreen:
 class OverNet:
     """An integral by a net of points that are followed over the picture, each for itself.
 
-    integrand : all of it. points : of the net, a power of two, 16 at least; on average over the picture.
+    integrand : all of it. points : of the net, a power of two; on average over the picture.
     outlines, elsewhere : as in `OverScreen`. at_outlines : samples of a pixel that an outline crosses, over
         the points that pixels around have.
     learn : called with a map_ of the workers before any point is asked for; None for nothing.

@@ -280,8 +280,8 @@ class PlainPicture:
 
 
 def mean_deviation(radiance: np.ndarray) -> float | None:
-    """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of the next two; None
-    if it is too narrow for that. Of blocks, the root of the mean square, so that rare specks count.
+    """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of the next two;
+    None if it is too narrow for that. Of blocks, the root of the mean square, so that rare specks count.
 
     What is linear makes none; sharper detail counts as if it were noise.
     """

@@ -110,6 +110,16 @@ def test_the_mean_over_seeds_is_the_truth(rounds, tile, monkeypatch):
     assert np.median(seeds[..., :7, 0].std(axis=0)) < 0.05
 
 
+def test_the_mean_over_seeds_of_the_fewest_points_is_the_truth():
+    seeds = np.array([picture(seed, samples=4).radiance[..., 0] for seed in range(200)], np.float64)
+    mean, error = seeds.mean(axis=0), seeds.std(axis=0, ddof=1) / np.sqrt(len(seeds))
+    z = (mean - Broken.truth()) / np.maximum(error, 1e-4)
+    # Of few points few see the stripe, and what 200 nets tell of their own deviation is not sure.
+    assert np.abs(z).max() < 5.5 and np.sqrt(np.square(z).mean()) < 1.25
+    whole = seeds.mean(axis=(1, 2))
+    assert abs(whole.mean() - Broken.truth().mean()) < 3 * whole.std() / np.sqrt(len(seeds))
+
+
 def test_what_no_corner_sees_makes_no_specks():
     made = np.stack([picture(seed, 8, integrand=Slit()).radiance[:, 10, 0] for seed in range(40)])
     # One point of eight in every other pixel, which is twice as bright as all over its chance.

@@ -61,7 +61,7 @@ DIFFERENT = 1.0
 NEXT = 0.25
 """Of a cell's chances, what the cells around get at least: where an edge is, others are not far."""
 
-MISSED = 0.25
+MISSED = 0.125
 """Of a cell's mean chance, what all of its points get at least: where many see an edge, others have one
 between the corners."""
 

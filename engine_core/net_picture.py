@@ -88,7 +88,7 @@ ERROR = 0.1
 """What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
 N^1.5."""
 
-HIDDEN = 0.5
+HIDDEN = 0.4
 """Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
 seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
 

@@ -7,7 +7,7 @@ film = render(Scene(Camera.look_at((0, -5, 2), (0, 0, 0), 320, 240), meshes=[...
 
 from .errors import CVRenderError, RenderError, SceneError
 from .image.film import Film
-from .render import Sink, render
+from .render import render
 from .scene import (
     AreaLight,
     Camera,
@@ -23,6 +23,7 @@ from .scene import (
     World,
 )
 from .settings import Settings
+from .workers import Sink
 
 __all__ = [
     "AreaLight",

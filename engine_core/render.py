@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tiles, threads, passes, progress and cancelling: from a scene to a film."""
+"""The order of work, from a scene to a film: what is built, what is sampled, in tiles and passes."""
 
 from __future__ import annotations
 
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import suppress
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from functools import partial
-from itertools import repeat
-from threading import Event, Lock
-from typing import Any
+from threading import Lock
 
 import numpy as np
 
@@ -30,8 +27,7 @@ from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
 from .settings import Settings
 from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile
-
-POLL_SECONDS = 0.05
+from .workers import Nobody, Sink, Workers
 
 PICTURES = {
     OverScreen: ScreenPicture,
@@ -54,33 +50,6 @@ DEPTH_ROWS, ROWS = 16, 64
 """Of the picture, whose depth is looked for at once, and whose brightness."""
 
 
-class Sink:
-    """Where a render reports to; all calls come from the thread that called `render`.
-
-    watched : whether anybody looks at tiles before the end; if not, `tile` need not be called.
-    """
-
-    watched = True
-
-    def cancelled(self) -> bool:
-        """Polled every `POLL_SECONDS`; True stops the render and keeps what is there."""
-        return False
-
-    def tile(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
-        """Pixels [y0:y1, x0:x1] of the film hold a new estimate."""
-
-    def progress(self, fraction: float, elapsed: float, remaining: float | None, text: str) -> None:
-        """How far the render is: fraction in [0, 1], seconds, and a phrase for people."""
-
-
-class _Nobody(Sink):
-    watched = False
-
-
-class _Cancelled(Exception):
-    """Unwinds a worker between two batches."""
-
-
 def render(
     scene: Scene,
     settings: Settings | None = None,
@@ -94,7 +63,7 @@ def render(
     try:
         # What over- or underflows in a scene of extreme sizes is dealt with where it matters.
         with np.errstate(all="ignore"):
-            return _Render(scene, settings or Settings(), sink or _Nobody()).run(executor)
+            return _Render(scene, settings or Settings(), sink or Nobody(), executor).run()
     except MemoryError as error:
         raise RenderError(
             "not enough memory for this scene; use fewer or simpler instances, or a smaller picture"
@@ -102,11 +71,12 @@ def render(
 
 
 class _Render:
-    def __init__(self, scene: Scene, settings: Settings, sink: Sink) -> None:
+    def __init__(self, scene: Scene, settings: Settings, sink: Sink, executor: Executor | None) -> None:
         self._begin = time.perf_counter()
+        self._threads = settings.threads or os.cpu_count() or 1
+        self._workers = Workers(sink, settings.time_limit, self._threads, executor)
         self._settings = settings
         self._sink = sink
-        self._stop = Event()
         self._camera: Camera = scene.camera
         sink.progress(0.0, 0.0, None, "Building the scene")
         self._integrand = DirectLight(
@@ -116,7 +86,7 @@ class _Render:
             settings.direct_sampling,
             settings.transparent_bounces,
         )
-        self._parts = parts_of(scene, self._integrand, settings, self._check)
+        self._parts = parts_of(scene, self._integrand, settings, self._workers.check)
         # A lens is two dimensions more, which no polynomial over the screen covers.
         self._parts_done = (
             settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
@@ -127,12 +97,16 @@ class _Render:
         self._film = Film.empty(*scene.camera.region_size, shown, self._sampled)
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
-        self._threads = settings.threads or os.cpu_count() or 1
         plainly = [] if self._parts_done else list(zip(self._parts, self._film.layers[1:], strict=True))
         self._plain = PlainPicture(
-            self._integrand, plainly, self._surface, scene.camera, settings, self._threads, self._check
+            self._integrand,
+            plainly,
+            self._surface,
+            scene.camera,
+            settings,
+            self._threads,
+            self._workers.check,
         )
-        self._done = self._pass_work = 0
         self._sampled_once = False
         self._counts: Counter[str] = Counter()
         self._counting = Lock()
@@ -142,52 +116,49 @@ class _Render:
         self._regions = self._nodes = 0
         self._stages = {"seconds control variate": 0.0, "seconds sampling": 0.0}
         self._built = time.perf_counter()
+        self._workers.begin()
 
-    def run(self, executor: Executor | None) -> Film:
-        own = executor is None
-        pool = ThreadPoolExecutor(self._threads, "cv-render") if own else executor
+    def run(self) -> Film:
         try:
-            ended = self._by_control_variates(pool)
+            ended = self._by_control_variates()
             if ended is None and not self._sampled:
-                ended = self._look_for_depth(pool) if self._settings.depth else "samples"
+                ended = self._look_for_depth() if self._settings.depth else "samples"
             elif ended is None:
-                ended = self._begin_plain(pool)
+                ended = self._begin_plain()
                 begin = time.perf_counter()
-                ended = ended or self._passes(pool)
+                ended = ended or self._passes()
                 self._stages["seconds sampling"] += time.perf_counter() - begin
                 if self._settings.standard_error:
                     self._plain.finish()
             self._film.stopped_by = ended
         finally:
-            self._stop.set()
-            if own:
-                pool.shutdown(wait=True, cancel_futures=True)
+            self._workers.close()
         self._report()
         return self._film
 
     # -- control variates --------------------------------------------------------------------------
 
-    def _by_control_variates(self, pool: Executor) -> str | None:
+    def _by_control_variates(self) -> str | None:
         """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
-        surfaces, ended = self._build_surfaces(pool)
+        surfaces, ended = self._build_surfaces()
         parts = []
         if not ended and surfaces is None and self._integrand.shows and self._parts_are_built:
             # Plain samples come in any case, and the first ones tell what of the fog's noise they hide.
-            ended = self._begin_plain(pool, share=0.0)
+            ended = self._begin_plain(share=0.0)
         if not ended:
-            parts, ended = self._build_parts(pool, surfaces)
-        ended = self._refine_parts(pool, parts, surfaces, ended)
+            parts, ended = self._build_parts(surfaces)
+        ended = self._refine_parts(parts, surfaces, ended)
         if surfaces is None:
             return ended
         begin = time.perf_counter()
-        ended = ended or self._refine(pool, surfaces)
+        ended = ended or self._refine(surfaces)
         if self._settings.standard_error and self._settings.integrator != "cv_only":
             surfaces.finish()
         self._stages["seconds sampling"] = time.perf_counter() - begin
         self._count(surfaces.integrand)
         return ended or "samples"
 
-    def _build_surfaces(self, pool: Executor) -> tuple[ControlVariatePicture | None, str | None]:
+    def _build_surfaces(self) -> tuple[ControlVariatePicture | None, str | None]:
         """None if plain samples serve this picture better; and why it was stopped, if it was."""
         settings = self._settings
         alone = settings.integrator == "cv_only"
@@ -203,9 +174,9 @@ class _Render:
             return None, None
         begin = time.perf_counter()
         picture = ControlVariatePicture(
-            self._integrand, settings, self._camera.region, self._surface, self._check
+            self._integrand, settings, self._camera.region, self._surface, self._workers.check
         )
-        outcome, ended = self._drive(pool, picture.build, "Building the control variate")
+        outcome, ended = self._workers.drive(picture.build, "Building the control variate")
         built = time.perf_counter()
         self._regions, self._nodes = picture.regions, picture.nodes
         self._stages["seconds control variate"] = built - begin
@@ -217,24 +188,6 @@ class _Render:
         self._integrals["control variate"] = picture.told
         self._show_all()
         return picture, None
-
-    def _drive(self, pool: Executor, build: Callable, text: str) -> tuple[Future, str | None]:
-        """Run ``build(map_, enough)``, which uses the workers; its future, and why it was stopped if it was.
-
-        map_ : runs a function over items on the workers. enough : whether to make do with what there is.
-        """
-        map_ = _map_on(pool)
-
-        def enough() -> bool:
-            # Half of the time is the samples', to which the polynomials are worth little alone.
-            limit = self._settings.time_limit
-            return bool(limit) and time.perf_counter() - self._begin > limit / 2
-
-        with ThreadPoolExecutor(1, "cv-render-build") as driver:
-            building = {driver.submit(_quietly, build, map_, enough): None}
-            outcome = next(iter(building))
-            ended = self._wait(building, lambda future, _: None, lambda: text, always=True)
-        return outcome, ended
 
     def _show(self, x0: int, y0: int, x1: int, y1: int) -> None:
         if self._sink.watched:
@@ -251,9 +204,7 @@ class _Render:
         """Whether there is fog, or are lasers, that something serves better than plain samples."""
         return bool(self._parts) and self._parts_done
 
-    def _build_parts(
-        self, pool: Executor, surfaces: ControlVariatePicture | None
-    ) -> tuple[list[Built], str | None]:
+    def _build_parts(self, surfaces: ControlVariatePicture | None) -> tuple[list[Built], str | None]:
         """Pictures of fog and lasers, built and shown; and why it was stopped, if it was."""
         built, ended = [], None
         if not self._parts_are_built:
@@ -265,17 +216,17 @@ class _Render:
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin = time.perf_counter()
             picture = PICTURES[type(part.by)](
-                part.by, self._settings, self._camera.region, layer, self._check
+                part.by, self._settings, self._camera.region, layer, self._workers.check
             )
             build = picture.build
             if isinstance(picture, NetPicture):
                 build = partial(build, noise=noise)
-            outcome, ended = self._drive(pool, build, f"Building {part.name}")
+            outcome, ended = self._workers.drive(build, f"Building {part.name}")
             if not ended:
                 outcome.result()
                 if self._sink.watched:
                     if isinstance(picture, Refined):
-                        picture.show(_map_on(pool))
+                        picture.show(self._workers.map)
                     self._show_all()
             built.append((picture, time.perf_counter() - begin))
             if ended:
@@ -283,20 +234,20 @@ class _Render:
         return built, ended
 
     def _refine_parts(
-        self, pool: Executor, parts: list[Built], surfaces: ControlVariatePicture | None, ended: str | None
+        self, parts: list[Built], surfaces: ControlVariatePicture | None, ended: str | None
     ) -> str | None:
         """Sample what was built, unless it is ``ended``; returns why it was stopped, if it was."""
         # What is worth a sample depends on all that is shown.
         beside = None
         if parts and not ended and self._settings.integrator == "control_variates":
             a_sample = None if surfaces is None else surfaces.deviation_a_sample
-            beside = *self._brightness(pool), a_sample
+            beside = *self._brightness(), a_sample
         for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
             if isinstance(picture, Refined):
                 if beside is not None and not ended:
-                    ended = self._refine_part(pool, picture, part.name, *beside)
-                picture.show(_map_on(pool))
+                    ended = self._refine_part(picture, part.name, *beside)
+                picture.show(self._workers.map)
                 self._show_all()
             self._regions, self._nodes = self._regions + picture.regions, self._nodes + picture.nodes
             self._integrals[part.name] = picture.told
@@ -305,7 +256,7 @@ class _Render:
             self._counts.update(part.counts())
         return ended
 
-    def _brightness(self, pool: Executor) -> tuple[np.ndarray, float]:
+    def _brightness(self) -> tuple[np.ndarray, float]:
         """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""
         around = np.zeros(self._film.depth.shape, np.float32)
 
@@ -314,56 +265,48 @@ class _Render:
                 for term in (layer.control_variate, layer.residual):
                     around[low : low + ROWS] += np.einsum("yxc->yx", term[low : low + ROWS])
 
-        _map_on(pool)(add, range(0, len(around), ROWS))
+        self._workers.map(add, range(0, len(around), ROWS))
         bright = float(around.mean(dtype=np.float64))
         if self._integrand.shows and len(self._integrand.lights) <= FEW_LIGHTS:
             bright += float(np.square(np.sqrt(self._plain.few_pixels().sum(axis=0)).mean()))
         return around, bright
 
-    def _refine_part(
-        self, pool: Executor, picture: Refined, name: str, *beside: np.ndarray | float | None
-    ) -> str | None:
+    def _refine_part(self, picture: Refined, name: str, *beside: np.ndarray | float | None) -> str | None:
         """Sample what is built leaves. beside : as in `ScreenPicture.allocate`."""
-        outcome, ended = self._drive(
-            pool, lambda map_, _: picture.allocate(map_, *beside), f"Sampling {name}"
+        outcome, ended = self._workers.drive(
+            lambda map_, _: picture.allocate(map_, *beside), f"Sampling {name}"
         )
         if not ended:
             outcome.result()
-            ended = self._sample_part(pool, picture, name)
+            ended = self._sample_part(picture, name)
         return ended
 
-    def _sample_part(self, pool: Executor, picture: Refined, name: str) -> str | None:
-        self._done, self._pass_work = 0, sum(picture.work(number) for number in range(len(picture)))
-
-        def done(samples: int) -> None:
-            self._done += samples
-
-        pending = {pool.submit(_quietly, picture.refine, n, done): n for n in range(len(picture))}
-        ended = self._wait(
+    def _sample_part(self, picture: Refined, name: str) -> str | None:
+        workers = self._workers
+        workers.expect(sum(picture.work(number) for number in range(len(picture))))
+        pending = {workers.submit(picture.refine, n, workers.advance): n for n in range(len(picture))}
+        ended = workers.wait(
             pending, lambda future, _: future.result(), lambda: f"Sampling {name}", always=True
         )
         picture.finish()
         return ended
 
-    def _refine(self, pool: Executor, picture: ControlVariatePicture) -> str | None:
+    def _refine(self, picture: ControlVariatePicture) -> str | None:
         """Passes over the tiles that double the samples each time; returns why they were stopped."""
         work = [[picture.work(n, p) for n in range(len(picture))] for p in range(picture.passes)]
-        total, before = max(sum(map(sum, work)), 1), 0.0
-
-        def done(samples: int) -> None:
-            self._done += samples
+        total, before, workers = max(sum(map(sum, work)), 1), 0.0, self._workers
 
         def finish(future: Future, number: int) -> None:
             future.result()
             self._show(*picture.box(number))
 
         for pass_, samples in enumerate(work):
-            self._pass_work, self._done = sum(samples), 0
+            workers.expect(sum(samples))
             # The largest first, so that no thread ends up with it alone.
             order = sorted((n for n in range(len(picture)) if samples[n]), key=lambda n: -samples[n])
-            pending = {pool.submit(_quietly, picture.refine, n, pass_, done): n for n in order}
-            share = self._pass_work / total
-            ended = self._wait(
+            pending = {workers.submit(picture.refine, n, pass_, workers.advance): n for n in order}
+            share = sum(samples) / total
+            ended = workers.wait(
                 pending,
                 finish,
                 lambda pass_=pass_: f"Refining, pass {pass_ + 1} of {picture.passes}",
@@ -376,18 +319,18 @@ class _Render:
             before += share
         return None
 
-    def _look_for_depth(self, pool: Executor) -> str:
+    def _look_for_depth(self) -> str:
         """All that there is to see of black surfaces: how far they are, in the middle of each pixel."""
         (x0, y0, x1, y1), film = self._camera.region, self._surface
 
         def look(low: int) -> None:
-            self._check()
+            self._workers.check()
             y, x = (a.ravel() for a in np.mgrid[low : min(low + DEPTH_ROWS, y1), x0:x1])
             depth = np.minimum(self._integrand.depth(x, y), FAR)
             film.depth[low - y0 : low - y0 + DEPTH_ROWS] = depth.reshape(-1, x1 - x0)
 
-        outcome, ended = self._drive(
-            pool, lambda map_, _: map_(look, range(y0, y1, DEPTH_ROWS)), "Looking for depth"
+        outcome, ended = self._workers.drive(
+            lambda map_, _: map_(look, range(y0, y1, DEPTH_ROWS)), "Looking for depth"
         )
         if not ended:
             outcome.result()
@@ -397,7 +340,7 @@ class _Render:
 
     # -- plain samples -----------------------------------------------------------------------------
 
-    def _see(self, pool: Executor) -> str | None:
+    def _see(self) -> str | None:
         """Integrate apart what camera rays see by themselves, if lamps may be among it: returns why it was
         stopped, if it was. A lens would be two dimensions more.
         """
@@ -407,18 +350,18 @@ class _Render:
             return None
         if not integrand.stage.images_of_lights((x0, y0, x1 - x0, y1 - y0)).any():
             return None
-        eye = DirectLightOverTile(integrand, None, self._check)
+        eye = DirectLightOverTile(integrand, None, self._workers.check)
 
         def build(map_: Map, enough: Callable[[], bool]) -> np.ndarray:
             return directly_seen(eye, integrand.stage, (x0, y0, x1, y1), self._settings, map_)
 
-        outcome, ended = self._drive(pool, build, "Looking at lamps")
+        outcome, ended = self._workers.drive(build, "Looking at lamps")
         if not ended:
             self._plain.seen = outcome.result()
         self._count(eye)
         return ended
 
-    def _begin_plain(self, pool: Executor, share: float | None = None) -> str | None:
+    def _begin_plain(self, share: float | None = None) -> str | None:
         """The first sample of every pixel, once; returns why that was stopped, if it was.
 
         share : of the whole render that is done then; None where samples are all of it.
@@ -426,16 +369,16 @@ class _Render:
         if self._sampled_once:
             return None
         self._sampled_once, begin = True, time.perf_counter()
-        ended = self._see(pool)
+        ended = self._see()
         if not ended:
             self._plain.begin()
-            ended = self._pass(pool, self._plain.due(), 0, 1, share)
+            ended = self._pass(self._plain.due(), 0, 1, share)
         if share is not None:
-            self._done = 0
+            self._workers.expect(0)
         self._stages["seconds sampling"] += time.perf_counter() - begin
         return ended
 
-    def _passes(self, pool: Executor) -> str:
+    def _passes(self) -> str:
         """Passes over all tiles that double the samples each time; returns why they ended."""
         plain, done = self._plain, 1
         while done < plain.samples:
@@ -443,13 +386,13 @@ class _Render:
             if not tiles:
                 return "noise"
             count = min(done, plain.samples - done)
-            ended = self._pass(pool, tiles, done, count)
+            ended = self._pass(tiles, done, count)
             if ended:
                 return ended
             done += count
-        return self._more_at_edges(pool) or "samples"
+        return self._more_at_edges() or "samples"
 
-    def _more_at_edges(self, pool: Executor) -> str | None:
+    def _more_at_edges(self) -> str | None:
         """`EdgeSamples`, where they are worth it; returns why they were stopped, if they were."""
         settings, integrand = self._settings, self._integrand
         exact = integrand.samples_every or (integrand.only_points and len(integrand.lights) == 1)
@@ -463,101 +406,41 @@ class _Render:
             self._plain.points,
             self._plain.samples,
             settings.batch_size,
-            self._check,
+            self._workers.check,
         )
-        self._pass_work, self._done = edges.samples, 0
+        self._workers.expect(edges.samples)
 
         def add(many: int, rows: np.ndarray) -> None:
             self._count(edges.add(many, rows))
-            self._done += (many - 1) * len(rows) * self._plain.samples
+            self._workers.advance((many - 1) * len(rows) * self._plain.samples)
 
-        pending = {pool.submit(_quietly, add, *one): None for one in edges.work}
-        ended = self._wait(pending, lambda future, _: future.result(), lambda: "Sampling edges", 0.99, 0.01)
+        pending = {self._workers.submit(add, *one): None for one in edges.work}
+        ended = self._workers.wait(
+            pending, lambda future, _: future.result(), lambda: "Sampling edges", 0.99, 0.01
+        )
         self._show_all()
         return ended
 
-    def _pass(
-        self, pool: Executor, tiles: list[Tile], start: int, count: int, share: float | None = None
-    ) -> str | None:
-        plain, samples = self._plain, self._plain.samples
+    def _pass(self, tiles: list[Tile], start: int, count: int, share: float | None = None) -> str | None:
+        plain, samples, workers = self._plain, self._plain.samples, self._workers
         plain.prepare(start + count)
         pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
-        self._pass_work, self._done = pixels * count, 0
+        workers.expect(pixels * count)
         share = count / samples if share is None else share
-
-        def done(rays: int) -> None:
-            self._done += rays
-
-        pending = {pool.submit(_quietly, plain.sample, tile, start, count, done): tile for tile in tiles}
+        pending = {workers.submit(plain.sample, tile, start, count, workers.advance): tile for tile in tiles}
 
         def text() -> str:
-            part = min(self._done / max(self._pass_work, 1), 1.0)
-            return f"Sample {start + int(count * part)}/{samples}"
+            return f"Sample {start + int(count * workers.part())}/{samples}"
 
         # A first sample everywhere comes before any limit, or there would be holes.
-        return self._wait(pending, self._finish, text, start / samples, share, always=start == 0)
-
-    def _wait(
-        self,
-        pending: dict[Future, Any],
-        finish: Callable[[Future, Any], None],
-        text: Callable[[], str],
-        before: float = 0.0,
-        share: float = 1.0,
-        always: bool = False,
-    ) -> str | None:
-        """Report until all futures are done; returns why they were stopped, if they were.
-
-        before, share : what of the whole render was done before, and is done by these.
-        always : not to be stopped by the time limit.
-        """
-        ended = None
-        try:
-            while pending:
-                finished, _ = wait(pending, POLL_SECONDS, FIRST_COMPLETED)
-                for future in finished:
-                    with suppress(_Cancelled):
-                        finish(future, pending.pop(future))
-                elapsed = time.perf_counter() - self._begin
-                self._tell(before, share, elapsed, text())
-                if ended is None:
-                    limit = self._settings.time_limit
-                    if self._sink.cancelled():
-                        ended = "cancel"
-                    elif limit and elapsed >= limit and not always:
-                        ended = "time"
-                    if ended:
-                        self._stop.set()
-                        for future in [f for f in pending if f.cancel()]:
-                            del pending[future]
-        except BaseException:
-            self._stop.set()
-            for future in pending:
-                future.cancel()
-            wait(pending)
-            raise
-        return ended
+        return workers.wait(pending, self._finish, text, start / samples, share, always=start == 0)
 
     def _finish(self, future: Future, tile: Tile) -> None:
         future.result()
         x0, y0 = self._camera.region[:2]
         self._show(tile.x0 - x0, tile.y0 - y0, tile.x1 - x0, tile.y1 - y0)
 
-    def _tell(self, before: float, share: float, elapsed: float, text: str) -> None:
-        part = min(self._done / max(self._pass_work, 1), 1.0)
-        fraction = min(before + share * part, 1.0)
-        rendering = time.perf_counter() - self._built
-        remaining = rendering * (1 - fraction) / fraction if fraction > 0.01 else None
-        limit = self._settings.time_limit
-        if limit and remaining is not None:
-            remaining = min(remaining, max(limit - elapsed, 0.0))
-        self._sink.progress(fraction, elapsed, remaining, text)
-
     # -- in the workers ----------------------------------------------------------------------------
-
-    def _check(self) -> None:
-        if self._stop.is_set():
-            raise _Cancelled
 
     def _count(self, spent: DirectLightOverTile) -> None:
         """Add up what evaluations cost; called once for a tile, so that it costs nothing itself."""
@@ -591,18 +474,3 @@ class _Render:
             "seconds rendering": end - self._built,
             "seconds total": end - self._begin,
         }
-
-
-def _map_on(pool: Executor) -> Callable:
-    """What runs a function over items on the workers, and returns the results in order."""
-
-    def map_(function: Callable, items: Iterable) -> list:
-        return list(pool.map(_quietly, repeat(function), items))
-
-    return map_
-
-
-def _quietly(function: Callable, *arguments: Any) -> Any:
-    """What over- or underflows is dealt with where it matters; NumPy's state is each thread's own."""
-    with np.errstate(all="ignore"):
-        return function(*arguments)

@@ -72,7 +72,6 @@ def render(
 
 class _Render:
     def __init__(self, scene: Scene, settings: Settings, sink: Sink, executor: Executor | None) -> None:
-        self._begin = time.perf_counter()
         self._threads = settings.threads or os.cpu_count() or 1
         self._workers = Workers(sink, settings.time_limit, self._threads, executor)
         self._settings = settings
@@ -115,7 +114,6 @@ class _Render:
             self._integrals["volume"] = "skipped: there is none that light reaches"
         self._regions = self._nodes = 0
         self._stages = {"seconds control variate": 0.0, "seconds sampling": 0.0}
-        self._built = time.perf_counter()
         self._workers.begin()
 
     def run(self) -> Film:
@@ -448,7 +446,7 @@ class _Render:
             self._counts.update(spent.counts)
 
     def _report(self) -> None:
-        end = time.perf_counter()
+        end, began, built = time.perf_counter(), self._workers.began, self._workers.built
         film = self._film
         film.compose(0, 0, *self._camera.region_size, self._settings.standard_error)
         self._counts.update(self._plain.counts)
@@ -468,9 +466,9 @@ class _Render:
             "samples": int(film.sample_count.sum()),
             **self._counts,
             "threads": self._threads,
-            "seconds building": self._built - self._begin,
+            "seconds building": built - began,
             **{f"seconds {stage}": seconds for stage, seconds in self._integrand.seconds.items()},
             **self._stages,
-            "seconds rendering": end - self._built,
-            "seconds total": end - self._begin,
+            "seconds rendering": end - built,
+            "seconds total": end - began,
         }

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from .image.film import Film
+
 POLL_SECONDS = 0.05
 
 
@@ -28,7 +30,7 @@ class Sink:
         """Polled every `POLL_SECONDS`; True stops the render and keeps what is there."""
         return False
 
-    def tile(self, film: Any, x0: int, y0: int, x1: int, y1: int) -> None:
+    def tile(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
         """Pixels [y0:y1, x0:x1] of the film hold a new estimate."""
 
     def progress(self, fraction: float, elapsed: float, remaining: float | None, text: str) -> None:
@@ -36,6 +38,8 @@ class Sink:
 
 
 class Nobody(Sink):
+    """Nothing is shown before the end."""
+
     watched = False
 
 
@@ -44,7 +48,10 @@ class _Cancelled(Exception):
 
 
 class Workers:
-    """Threads of this process, and a clock that started with the render."""
+    """Threads of this process, and a clock that started with the render.
+
+    began, built : seconds of `time.perf_counter` at which the render began, and at which its scene was built.
+    """
 
     def __init__(self, sink: Sink, time_limit: float, threads: int, executor: Executor | None = None) -> None:
         """time_limit : seconds, 0 for none. executor : runs the work, on ``threads`` of its own if None."""
@@ -53,13 +60,14 @@ class Workers:
         self._own = executor is None
         self._pool = executor or ThreadPoolExecutor(threads, "cv-render")
         self._stop = Event()
-        self._began = self._built = time.perf_counter()
+        self.began = self.built = time.perf_counter()
 
     def begin(self) -> None:
-        """What comes now is what the seconds that remain are told from."""
-        self._built = time.perf_counter()
+        """The scene is built: the seconds that remain are told from what comes now."""
+        self.built = time.perf_counter()
 
     def close(self) -> None:
+        """Stop what still runs, and wait for it if the threads are its own."""
         self._stop.set()
         if self._own:
             self._pool.shutdown(wait=True, cancel_futures=True)
@@ -78,6 +86,7 @@ class Workers:
             raise _Cancelled
 
     def submit(self, function: Callable, *arguments: Any) -> Future:
+        """Run a function on one of the threads, for `wait`."""
         return self._pool.submit(_quietly, function, *arguments)
 
     def map(self, function: Callable, items: Iterable) -> list:
@@ -92,7 +101,7 @@ class Workers:
 
         def enough() -> bool:
             # Half of the time is the samples', to which the polynomials are worth little alone.
-            return bool(self._limit) and time.perf_counter() - self._began > self._limit / 2
+            return bool(self._limit) and time.perf_counter() - self.began > self._limit / 2
 
         with ThreadPoolExecutor(1, "cv-render-build") as driver:
             building = {driver.submit(_quietly, build, self.map, enough): None}
@@ -121,7 +130,7 @@ class Workers:
                 for future in finished:
                     with suppress(_Cancelled):
                         finish(future, pending.pop(future))
-                elapsed = time.perf_counter() - self._began
+                elapsed = time.perf_counter() - self.began
                 self._tell(before, share, elapsed, text())
                 if ended is None:
                     if self._sink.cancelled():
@@ -146,7 +155,7 @@ class Workers:
 
     def _tell(self, before: float, share: float, elapsed: float, text: str) -> None:
         fraction = min(before + share * self.part(), 1.0)
-        rendering = time.perf_counter() - self._built
+        rendering = time.perf_counter() - self.built
         remaining = rendering * (1 - fraction) / fraction if fraction > 0.01 else None
         if self._limit and remaining is not None:
             remaining = min(remaining, max(self._limit - elapsed, 0.0))

@@ -68,6 +68,10 @@ LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 4, 32
 than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
 know where it is."""
 
+LEARNING = 1 / 16
+"""Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points
+follow: about as much as corners of cells do."""
+
 FOG_POINTS, SURFACE_POINTS = 32, 16
 """Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
 
@@ -290,21 +294,22 @@ def _of_fog(
         parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
     if rest.size:
         choice = scattering.choice_of_cells(rest, *cells(region), check)
-        learn = None
+        learn, points = None, _growing(LIGHT_POINTS, settings.samples)
         by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
         light = ScatteredLight(scattering, rest, choice, check)
         if choice is None and by_net:
             each = [ScatteredLight(scattering, np.array([one]), None, check) for one in rest]
 
             def learn(map_: Map) -> None:
-                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, map_)
+                pixels = (region[2] - region[0]) * (region[3] - region[1])
+                work = int(LEARNING * pixels * points)
+                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, work, map_)
                 for one in each:
                     light.counts.update(one.counts)
 
         narrow = None
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
-        points = _growing(LIGHT_POINTS, settings.samples)
         by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn, fewest=FEW_LIGHT_POINTS)
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts

@@ -14,7 +14,7 @@ from engine_core.integration.mapping import in_order
 from engine_core.parts import parts_of
 from engine_core.transport import guide_in_fog as module
 from engine_core.transport.direct_light import DirectLight
-from engine_core.transport.guide_in_fog import CELLS, DIMENSIONS, Guide, stretched
+from engine_core.transport.guide_in_fog import CELLS, DIMENSIONS, GRIDS, Guide
 
 WINDOW = 0.8, 1.6
 """Of the wall to the right: from where to where in y and z."""
@@ -45,49 +45,94 @@ def room() -> Scene:
     )
 
 
-def learned(made: Scene, seed: int = 0) -> Guide:
+def learned(made: Scene, seed: int = 0) -> Guide | None:
     (part,) = parts_of(made, DirectLight(made), Settings(seed=seed), lambda: None)
     part.by.learn(in_order)
     return part.by.integrand.guide
 
 
-def test_grids_are_fine_where_pilots_found_much_and_even_where_nothing_is_gained():
-    square = np.array([np.eye(CELLS)[2], np.linspace(1, 1.5, CELLS), np.zeros(CELLS)])
-    fine, *even = module._grids(square)
-    assert (np.diff(fine) > 0).all() and fine[0] == 0 and fine[-1] == 1
-    inside = 2 / CELLS, 3 / CELLS
-    share = np.diff(np.interp(inside, fine, np.linspace(0, 1, CELLS + 1)))[0]
-    # What is not the same everywhere is all in one cell, but for knots beside it.
-    assert share == pytest.approx(1 - module.EVERYWHERE * (1 - 1 / CELLS), abs=1 / CELLS)
-    np.testing.assert_allclose(even, np.broadcast_to(np.arange(CELLS + 1) / CELLS, (2, CELLS + 1)), atol=1e-6)
+def spread(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Grids of one tile, and what part of many points they put in each cell, by the densities of cells."""
+    guide = Guide(module._grids(density)[None, None, None], [0], 1, 16, (0, 0))
+    n = 2 * CELLS
+    u = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n] * DIMENSIONS, indexing="ij")).reshape(DIMENSIONS, -1)
+    tiles = np.zeros((4, 1), np.intp), np.array([[1], [0], [0], [0]], np.float32)
+    place, weight = guide.stretched(tiles, np.zeros(u.shape[1], np.intp), u.astype(np.float32))
+    cells = np.minimum((place[:, 0] * CELLS).astype(np.intp), CELLS - 1)
+    flat = np.ravel_multi_index(cells, [CELLS] * DIMENSIONS)
+    return np.bincount(flat, minlength=CELLS**DIMENSIONS).reshape(density.shape) / u.shape[1], weight
+
+
+def test_points_are_spread_as_the_density_says_though_dimensions_depend_on_each_other():
+    density = np.full([CELLS] * DIMENSIONS, 0.2 / CELLS**DIMENSIONS)
+    some = np.arange(0, CELLS, 3)
+    density[some, some, (2 * some) % CELLS] += 0.8 / len(some)
+    share, weight = spread(density)
+    # Four of 1,728 cells, but for knots that lie beside each dimension's.
+    assert share[some, some, (2 * some) % CELLS].sum() > 0.4
+    assert weight.mean(dtype=np.float64) == pytest.approx(1, rel=1e-5)
+    even, weight = spread(np.full([CELLS] * DIMENSIONS, 1.0))
+    np.testing.assert_allclose(even, CELLS**-DIMENSIONS, rtol=1e-5)
+    np.testing.assert_allclose(weight, 1, rtol=1e-5)
+
+
+def test_what_few_points_tell_is_that_of_each_dimension_and_nothing_is_learned_of_what_is_even():
+    shape = 1, 1, *[CELLS] * DIMENSIONS
+    random = np.random.default_rng(3)
+    along = random.uniform(0.1, 1, (DIMENSIONS, CELLS)) ** 4
+    square = np.einsum("i,j,k->ijk", *along).reshape(shape)
+    product = np.sqrt(square / square.sum())
+    product *= (1 - module.EVERYWHERE) / product.sum()
+    one = np.zeros(shape)
+    one[0, 0, 2, 3, 4] = 1
+    # By one point, and by many that are as bright as each other.
+    few = module._density(square, np.full(shape, square.sum() ** 2 / square.size))
+    np.testing.assert_allclose(few, product + module.EVERYWHERE / square.size, rtol=1e-9)
+    many = module._density(one, one * 1e-12)
+    assert many[0, 0, 2, 3, 4] > 0.79
+    even = np.full(shape, 2.0)
+    for nothing in (even, 0 * even):
+        found = module._density(nothing, nothing * nothing)
+        np.testing.assert_allclose(found, 1 / square.size)
+        assert module._gain(nothing) == pytest.approx(1)
+    assert module._gain(one) == pytest.approx(CELLS**DIMENSIONS)
 
 
 def test_what_is_stretched_has_the_same_integral():
     random = np.random.default_rng(1)
-    knots = np.zeros((3, 2, DIMENSIONS, CELLS + 1))
-    knots[..., 1:] = np.cumsum(random.uniform(0.2, 3, (3, 2, DIMENSIONS, CELLS)), axis=-1)
-    knots = (knots / knots[..., -1:]).astype(np.float32)
-    n = 16 * CELLS
+    knots = np.zeros((2, 2, 2, GRIDS, CELLS + 1))
+    knots[..., 1:] = np.cumsum(random.uniform(0.2, 3, (2, 2, 2, GRIDS, CELLS)), axis=-1)
+    guide = Guide((knots / knots[..., -1:]).astype(np.float32), [0, 2], 3, 16, (0, 0))
+    n = 8 * CELLS
     u = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n] * DIMENSIONS)).reshape(DIMENSIONS, -1)
     u = u.astype(np.float32)
+    weights = random.dirichlet(np.ones(4), 3).T.astype(np.float32)
+    tiles = np.arange(4)[:, None].repeat(3, axis=1), weights
     for ray in range(3):
-        place, weight = stretched(knots, np.full(u.shape[1], ray), u)
+        place, weight = guide.stretched(tiles, np.full(u.shape[1], ray), u)
         assert place.min() > 0 and place.max() < 1
-        for light in range(2):
+        for light in range(3):
             assert weight[light].mean(dtype=np.float64) == pytest.approx(1, rel=1e-5)
             f = np.prod(1 + place[:, light].astype(np.float64) ** 2, axis=0)
-            assert (f * weight[light]).mean() == pytest.approx((4 / 3) ** DIMENSIONS, rel=1e-3)
+            assert (f * weight[light]).mean() == pytest.approx((4 / 3) ** DIMENSIONS, rel=2e-3)
+        np.testing.assert_array_equal(place[:, 1], u)
 
 
 def test_grids_change_smoothly_over_the_picture():
     guide = learned(room())
     assert np.abs(np.diff(guide._knots, axis=-1) * CELLS - 1).max() > 0.5
     x = np.linspace(0, 48, 481)
-    knots = guide.knots(x, np.full(481, 11.3))
-    assert (np.diff(knots, axis=-1) > 0).all()
-    assert np.abs(np.diff(knots, axis=0)).max() < 0.1
-    np.testing.assert_array_equal(knots[..., 0], 0)
-    np.testing.assert_allclose(knots[..., -1], 1, atol=1e-6)
+    tiles = guide.tiles(x, np.full(481, 11.3))
+    np.testing.assert_allclose(tiles[1].sum(axis=0), 1, rtol=1e-6)
+    u = np.array([[0.3], [0.6], [0.2]], np.float32).repeat(481, axis=1)
+    place, weight = guide.stretched(tiles, np.arange(481), u)
+    assert np.abs(np.diff(place, axis=-1)).max() < 0.02
+    assert np.abs(np.diff(np.log(weight), axis=-1)).max() < 0.2
+
+
+def test_light_that_gains_nothing_has_no_guide():
+    made = replace(room(), meshes=[mesh for mesh in room().meshes if not mesh.surface])
+    assert learned(made) is None
 
 
 def test_guided_pictures_are_unbiased():

@@ -20,7 +20,7 @@ class FogRays:
     media : K segments, whose ``ray`` counts the M rays. first : (M + 1,) where those of each ray begin.
     through : (3, K) float32, what transparent surfaces before a segment leave of it; None for all.
     place : (2, M) of rays in the frame, in pixels; None where nothing wants it.
-    knots : (M, L, D, K) of a `Guide`; None without one.
+    tiles : of a `Guide` about them; None without one.
     crossings : rays that went on behind transparent surfaces.
     """
 
@@ -31,7 +31,7 @@ class FogRays:
     lane: np.ndarray | None = None
     through: np.ndarray | None = None
     place: np.ndarray | None = None
-    knots: np.ndarray | None = None
+    tiles: tuple[np.ndarray, np.ndarray] | None = None
     crossings: int = 0
     values: None = field(default=None, init=False)
 

@@ -2,14 +2,17 @@
 """Where along rays, and in which part of lights, fog is lit: learned by pilots, all over the picture.
 
 Of a ray through a nave the sun's shafts light but a few pieces, and of the sky few directions come in by its
-windows. So dimensions of primary space are stretched: each has a grid of cells that points take equally
-often, and what pilots found of f^2 says how wide they are,
+windows, which are others at each distance. So dimensions of primary space are stretched: each has a grid of
+cells that points take equally often, for each cell of the dimensions before, and what pilots found of f^2 says
+how wide they are,
 
-    density ~ sqrt(mean of f^2 over all other dimensions),   f becomes f / density
+    density ~ sqrt(mean of f^2 in a cell of all three),   f becomes f / density
 
-as in G. P. Lepage, "A new algorithm for adaptive multidimensional integration", 1978, but of one step, and by
-light. Grids of tiles are interpolated over the picture, so that what a point of a net finds still changes
-smoothly from pixel to pixel. Where little would be gained, dimensions stay as they are.
+as in G. P. Lepage, "A new algorithm for adaptive multidimensional integration", 1978, but of one step, of
+dimensions that depend on each other, and by light. Cells that few points tell of are taken for the product of
+what their dimensions are, each by itself. Grids of tiles are interpolated over the picture, so that what a
+point of a net finds still changes smoothly from pixel to pixel. Where little would be gained, dimensions stay as
+they are; and lights, with a few pilots spent on them.
 """
 
 from __future__ import annotations
@@ -26,34 +29,49 @@ from .camera_hits import Pixels
 DIMENSIONS = 3
 """The first so many of the rest: distance, and place on a light."""
 
-CELLS = 8
+CELLS = 12
 """Of a grid."""
+
+GRIDS = 1 + CELLS + CELLS**2
+"""Of a light, in each tile."""
 
 TILES, EDGE = 12, 16
 """Along the picture's shorter edge, about; and pixels along that of a tile, at least."""
 
-PILOTS, POINTS = 2, 64
-"""Along a tile's edge, and points of each."""
+PILOTS = 2
+"""Along a tile's edge."""
 
-TOGETHER = 256
-"""Pilots that a worker takes at once."""
+POINTS = 64, 1024
+"""Of a pilot at least and at most, powers of two."""
+
+BATCH = 1 << 14
+"""Points that a worker takes at once."""
 
 EVERYWHERE = 0.2
 """Part of the density that is the same everywhere."""
 
-WORTH = 1.25, 2.0
+SURE = 0.5
+"""Points in a cell that tell as much of it as its dimensions do, each by itself; of so many points as there are if
+those that all of f^2 comes from are as bright as each other (square of the sum over sum of the squares)."""
+
+WORTH = 1.5, 2.0
 """By how much less f^2 is in the mean, from where on grids do what they learned, and at which all of it."""
 
 
 class Guide:
-    """Grids of tiles (rows, columns), for L lights.
+    """Grids of tiles, of those of L lights that gain by it.
 
-    knots : (rows + 2, columns + 2, L, DIMENSIONS, CELLS + 1) float32, with tiles beyond the edges.
+    knots : (rows + 2, columns + 2, K, GRIDS, CELLS + 1) float32, with tiles beyond the edges. Of a light's grids
+        the first is of the first dimension, the next are of the second where the first is in each of its cells,
+        and so on.
     """
 
-    def __init__(self, knots: np.ndarray, edge: int, corner: tuple[int, int]) -> None:
-        """edge : of a tile, in pixels. corner : of the first."""
-        self._knots, self._edge, self._corner = knots, edge, corner
+    def __init__(
+        self, knots: np.ndarray, gaining: Sequence[int], lights: int, edge: int, corner: tuple[int, int]
+    ) -> None:
+        """gaining : numbers of K lights out of so many. edge : of a tile, in pixels. corner : of the first."""
+        self._knots, self._gaining, self._lights = knots, gaining, lights
+        self._edge, self._corner = edge, corner
 
     @staticmethod
     def of(
@@ -61,10 +79,14 @@ class Guide:
         pixels: Callable[[np.ndarray, np.ndarray], Pixels],
         region: tuple[int, int, int, int],
         seed: int,
+        evaluations: int,
         map_: Map = in_order,
-    ) -> Guide:
-        """lights : what each of L brings. pixels : in columns and rows (B,) of the whole frame.
-        region : x0, y0, x1, y1. map_ : runs a function over items on workers.
+    ) -> Guide | None:
+        """None where no light would gain much.
+
+        lights : what each of L brings. pixels : in columns and rows (B,) of the whole frame.
+        region : x0, y0, x1, y1. evaluations : of each light that gains, that may be spent, about.
+        map_ : runs a function over items on workers.
         """
         size = np.array([region[2] - region[0], region[3] - region[1]])
         edge = max(EDGE, -(-int(size.min()) // TILES))
@@ -76,96 +98,170 @@ class Guide:
         x, y = (a.ravel() for a in np.meshgrid(x, y))
         tile = y // edge * columns + x // edge
         some = pixels(x + region[0], y + region[1])
+        keys = some.key()
+        few, most = POINTS
+        most = 1 << int(np.log2(np.clip(evaluations / len(some), few, most)))
         points = SobolPoints(range(max(light.rest_dimensions for light in lights)), seed, 107)
-        points.prepare(POINTS)
-        net = points.points(some.key(), 0, POINTS)
-        cell = (net[:DIMENSIONS] * CELLS).astype(np.intp) + tile[:, None] * CELLS
-        found = np.zeros((len(lights), DIMENSIONS, columns * rows * CELLS))
+        points.prepare(most)
 
-        def look(work: tuple[int, slice]) -> np.ndarray:
-            number, part = work
-            light, few = lights[number], some[part]
-            u = net[: light.rest_dimensions, part].reshape(light.rest_dimensions, -1)
-            middle = np.full((2, len(few), 1), 0.5, np.float32)
-            f = values_at(light, light.first(few, middle), len(few), None, u)[:3]
-            return np.square(f.sum(axis=0, dtype=np.float64))
+        def look(work: tuple[int, slice, int, int]) -> tuple[np.ndarray, np.ndarray]:
+            """Cells of points from ``start`` to ``end`` of some pilots, and f^2."""
+            number, part, start, end = work
+            light, pilots = lights[number], some[part]
+            u = points.points(keys[part], start, end - start)
+            middle = np.full((2, len(pilots), 1), 0.5, np.float32)
+            at = u[: light.rest_dimensions].reshape(light.rest_dimensions, -1)
+            f = values_at(light, light.first(pilots, middle), len(pilots), None, at)[:3]
+            cell = tile[part, None]
+            for place in u[:DIMENSIONS]:
+                cell = cell * CELLS + (place * CELLS).astype(np.intp)
+            return cell.ravel(), np.square(f.sum(axis=0, dtype=np.float64))
 
-        parts = [slice(low, low + TOGETHER) for low in range(0, len(some), TOGETHER)]
-        work = [(number, part) for number in range(len(lights)) for part in parts]
-        squares = np.concatenate(map_(look, work)).reshape(len(lights), -1)
-        for of_light, square in zip(found, squares, strict=True):
-            for row, at in zip(of_light, cell, strict=True):
-                row += np.bincount(at.ravel(), square, len(row))
-        found = found.reshape(len(lights), DIMENSIONS, rows, columns, CELLS).transpose(2, 3, 0, 1, 4)
-        for axis in range(2):
-            found = _with_neighbours(found, axis)
-        return Guide(np.pad(_grids(found), [(1, 1)] * 2 + [(0, 0)] * 3, mode="edge"), edge, region[:2])
+        def found(number: int, start: int, end: int) -> np.ndarray:
+            """Sums (2, rows, columns, CELLS, ...) of f^2 and of f^4."""
+            step = max(1, BATCH // (end - start))
+            parts = [slice(low, low + step) for low in range(0, len(some), step)]
+            cell, square = map(
+                np.concatenate, zip(*map_(look, [(number, part, start, end) for part in parts]), strict=True)
+            )
+            size = rows * columns * CELLS**DIMENSIONS
+            sums = np.stack([np.bincount(cell, a, size) for a in (square, square * square)])
+            return sums.reshape(2, rows, columns, *[CELLS] * DIMENSIONS)
 
-    def knots(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(N, L, DIMENSIONS, CELLS + 1) of places (N,) in the whole frame, in pixels."""
+        grids, gaining = [], []
+        for number in range(len(lights)):
+            squares = found(number, 0, few)
+            if _gain(_with_neighbours(squares[0])) < WORTH[0]:
+                continue
+            if most > few:
+                squares += found(number, few, most)
+            grids.append(_grids(_density(*map(_with_neighbours, squares))))
+            gaining.append(number)
+        if not gaining:
+            return None
+        knots = np.pad(np.stack(grids, axis=2), [(1, 1)] * 2 + [(0, 0)] * 3, mode="edge")
+        return Guide(knots, gaining, len(lights), edge, region[:2])
+
+    def tiles(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which four tiles (4, R) are around places (R,) in the whole frame, in pixels, and their weights."""
         rows, columns = self._knots.shape[:2]
         at = [
             np.clip((place - start) / self._edge + 0.5, 0, n - 1.001)
             for place, start, n in zip((x, y), self._corner, (columns, rows), strict=True)
         ]
         first = [a.astype(np.intp) for a in at]
-        right, up = ((a - i).astype(np.float32)[:, None] for a, i in zip(at, first, strict=True))
-        flat = self._knots.reshape(rows * columns, -1)
+        right, up = ((a - i).astype(np.float32) for a, i in zip(at, first, strict=True))
         row = first[1] * columns + first[0]
-        out = flat.take(row, axis=0) * ((1 - right) * (1 - up))
-        for step, weight in ((1, right * (1 - up)), (columns, (1 - right) * up), (columns + 1, right * up)):
-            out += flat.take(row + step, axis=0) * weight
-        return out.reshape(len(x), *self._knots.shape[2:])
+        return (
+            np.stack([row, row + 1, row + columns, row + columns + 1]),
+            np.stack([(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up]),
+        )
+
+    def stretched(
+        self, tiles: tuple[np.ndarray, np.ndarray], ray: np.ndarray, u: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Places (DIMENSIONS, L, N) at u (DIMENSIONS, N), and 1 / density (L, N), for ``ray`` (N,) of rays."""
+        knots = self._knots.reshape(-1)
+        first = tiles[0].take(ray, axis=1) * self._knots[0, 0].size
+        part = tiles[1].take(ray, axis=1)
+        place = np.empty((len(u), self._lights, u.shape[1]), np.float32)
+        place[:] = u[:, None]
+        weight = np.ones(place.shape[1:], np.float32)
+        grid, before = 0, 0
+        for d, at in enumerate(u):
+            inside = at * np.float32(CELLS)
+            cell = np.minimum(inside.astype(np.intp), CELLS - 1)
+            inside -= cell
+            knot = (grid + before) * (CELLS + 1) + cell
+            grid, before = grid + CELLS**d, before * CELLS + cell
+            for light in self._gaining:
+                low = wide = np.float32(0)
+                for tile, of_tile in zip(first, part, strict=True):
+                    at_knot = tile + knot
+                    of_low = knots.take(at_knot)
+                    at_knot += 1
+                    of_wide = knots.take(at_knot)
+                    of_wide -= of_low
+                    of_low *= of_tile
+                    of_wide *= of_tile
+                    low, wide = of_low + low, of_wide + wide
+                np.multiply(wide, inside, out=place[d, light])
+                place[d, light] += low
+                wide *= np.float32(CELLS)
+                weight[light] *= wide
+                knot += GRIDS * (CELLS + 1)
+        return place, weight
 
 
-def stretched(knots: np.ndarray, ray: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (DIMENSIONS, L, N) at u (DIMENSIONS, N), and 1 / density (L, N), for rays (N,) of ``knots``."""
-    lights, of_ray = knots.shape[1], knots[0].size
-    knots = knots.reshape(-1)
-    place = np.empty((len(u), lights, u.shape[1]), np.float32)
-    weight = np.ones(place.shape[1:], np.float32)
-    first = ray * of_ray
-    for d, at in enumerate(u):
-        inside = at * np.float32(CELLS)
-        cell = np.minimum(inside.astype(np.intp), CELLS - 1)
-        inside -= cell
-        cell += first
-        for light in range(lights):
-            grid = cell + (light * DIMENSIONS + d) * (CELLS + 1)
-            low = knots.take(grid)
-            grid += 1
-            wide = knots.take(grid)
-            wide -= low
-            np.multiply(wide, inside, out=place[d, light])
-            place[d, light] += low
-            wide *= np.float32(CELLS)
-            weight[light] *= wide
-    return place, weight
+def _with_neighbours(a: np.ndarray) -> np.ndarray:
+    """Sums of tiles (rows, columns, ...) over 1, 2, 1 of neighbours along both axes."""
+    for axis in range(2):
+        before, after = (np.roll(a, shift, axis) for shift in (1, -1))
+        np.moveaxis(before, axis, 0)[0] = np.moveaxis(after, axis, 0)[-1] = 0
+        a = before + 2 * a + after
+    return a
 
 
-def _with_neighbours(a: np.ndarray, axis: int) -> np.ndarray:
-    """Sums over 1, 2, 1 of neighbours along an axis."""
-    before, after = (np.roll(a, shift, axis) for shift in (1, -1))
-    np.moveaxis(before, axis, 0)[0] = np.moveaxis(after, axis, 0)[-1] = 0
-    return before + 2 * a + after
+def _gain(square: np.ndarray) -> float:
+    """How many times less f^2 is in the mean if points are spread along each dimension by itself as sums of f^2
+    (rows, columns, CELLS, ...) say: these are surer than cells of all.
+    """
+    total = square.sum(axis=(2, 3, 4))
+    if not total.any():
+        return 1.0
+    less = np.ones_like(total)
+    for other in ((3, 4), (2, 4), (2, 3)):
+        of_cell = square.sum(axis=other)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            less *= np.square(np.sqrt(of_cell).sum(axis=-1)) / (CELLS * total)
+    return total.sum() / (total * np.where(total > 0, less, 0)).sum()
 
 
-def _grids(square: np.ndarray) -> np.ndarray:
-    """(..., CELLS + 1) float32 knots of grids, for sums (..., CELLS) of f^2 in equal intervals."""
-    density = np.sqrt(square)
-    total = density.sum(axis=-1, keepdims=True)
-    density = np.where(total > 0, density / np.where(total > 0, total, 1), 1 / CELLS)
+def _density(square: np.ndarray, fourth: np.ndarray) -> np.ndarray:
+    """Part of points in each cell, for sums of f^2 and f^4 (rows, columns, CELLS, ...)."""
+    axes = tuple(range(2, square.ndim))
+    cells, total = square[0, 0].size, square.sum(axis=axes, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        count = total**2 / fourth.sum(axis=axes, keepdims=True) / cells
+        alone = total
+        for axis in axes:
+            alone = alone * (square.sum(axis=tuple(a for a in axes if a != axis), keepdims=True) / total)
+        density = np.sqrt((count * square + SURE * alone) / total)
+        density /= density.sum(axis=axes, keepdims=True)
+    density = np.where(total > 0, density, 1 / cells)
     # The mean of f^2 over what it is by the best density.
-    gain = CELLS * np.square(density).sum(axis=-1, keepdims=True)
+    gain = cells * np.square(density).sum(axis=axes, keepdims=True)
     part = (1 - EVERYWHERE) * np.clip((gain - WORTH[0]) / (WORTH[1] - WORTH[0]), 0, 1)
-    density = part * density + (1 - part) / CELLS
-    below = np.concatenate([np.zeros_like(total), np.cumsum(density, axis=-1)], axis=-1)
-    below[..., -1] = 1
-    # Where the distribution reaches each eighth.
-    wanted = np.arange(1, CELLS) / CELLS
-    cell = (below[..., 1:, None] < wanted).sum(axis=-2).clip(0, CELLS - 1)
+    return part * density + (1 - part) / cells
+
+
+def _grids(density: np.ndarray) -> np.ndarray:
+    """(..., GRIDS, CELLS + 1) float32 knots of grids, by parts (..., CELLS, ...) of points in cells."""
+    leading = density.shape[:-DIMENSIONS]
+    # What the grids so far have in each of their cells, of the dimensions that are left.
+    density = density.reshape(*leading, 1, -1)
+    grids = []
+    for _ in range(DIMENSIONS):
+        density = density.reshape(*density.shape[:-1], CELLS, -1)
+        knots, taken = _knots(density.sum(axis=-1))
+        grids.append(knots)
+        density = (taken @ density).reshape(*leading, knots.shape[-2] * CELLS, -1)
+    return np.concatenate(grids, axis=-2)
+
+
+def _knots(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(..., CELLS + 1) float32, between which are as many points, for numbers (..., CELLS) of points in cells;
+    and (..., CELLS, CELLS) what part of a cell lies between each two of them.
+    """
+    below = np.zeros((*density.shape[:-1], CELLS + 1))
+    np.cumsum(density, axis=-1, out=below[..., 1:])
+    # Where the distribution reaches each of the equal parts.
+    wanted = np.arange(1, CELLS) / CELLS * below[..., -1:]
+    cell = (below[..., 1:, None] < wanted[..., None, :]).sum(axis=-2).clip(0, CELLS - 1)
     low, own = (np.take_along_axis(a, cell, axis=-1) for a in (below, density))
-    knots = np.empty((*square.shape[:-1], CELLS + 1), np.float32)
+    knots = np.empty(below.shape, np.float32)
     knots[..., 0], knots[..., -1] = 0, 1
     knots[..., 1:-1] = (cell + np.clip((wanted - low) / own, 0, 1)) / CELLS
-    return knots
+    edges = np.arange(CELLS, dtype=np.float32)
+    start, end = knots[..., :-1, None] * CELLS, knots[..., 1:, None] * CELLS
+    return knots, np.clip(np.minimum(end, edges + 1) - np.maximum(start, edges), 0, None)

@@ -27,7 +27,7 @@ from .distance_maps import (
     within_depth,
 )
 from .fog_rays import FogRays
-from .guide_in_fog import DIMENSIONS, Guide, stretched
+from .guide_in_fog import DIMENSIONS, Guide
 from .light_choice_in_fog import FogChoice, segments
 from .media import RayMedia
 from .single_scattering import Places, Scattered, SingleScattering, run
@@ -87,7 +87,7 @@ class ScatteredLight(Scattered):
             place = (corner[:, :, None] + u[:2]).reshape(2, -1)
             rays.place = place if rays.lane is None else take(place, rays.lane)
         if self.guide is not None:
-            rays.knots = self.guide.knots(*rays.place)
+            rays.tiles = self.guide.tiles(*rays.place)
         return rays
 
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,8 +112,8 @@ class ScatteredLight(Scattered):
             light = np.repeat(self._lights, len(ray))
             which = np.tile(np.arange(u.shape[1]), len(self._lights))
             w, at = u[-1].take(which), take(u[:DIMENSIONS], which)
-            if rays.knots is not None:
-                at, weight = stretched(rays.knots, np.repeat(ray, split), u[:DIMENSIONS])
+            if rays.tiles is not None:
+                at, weight = self.guide.stretched(rays.tiles, np.repeat(ray, split), u[:DIMENSIONS])
                 at, weight = at.reshape(DIMENSIONS, -1), weight.ravel()
             place = self._segment(rays, ray.take(row), light, at[0].reshape(-1, split))
             ray = ray.take(row)

@@ -43,8 +43,8 @@ FEWEST = 4, 8
 """Points of a tile at least, powers of two: half of the mean, but within these."""
 
 GROWTH = 0.5
-"""Points of a tile go as its deviation to this power. Variances of nets fall as points to the power 1.5, so .8 has
-the least error; but the eye sees what the dark is wrong by in proportion."""
+"""Points of a tile go as its deviation to this power. Variances of nets fall as points to the power 1.5, so
+.8 has the least error; but the eye sees what the dark is wrong by in proportion."""
 
 PILOTS, PILOT_POINTS = 2, 64
 """Along a tile's edge, places that tell its deviation; and points of each, a power of four."""
@@ -82,7 +82,7 @@ FRESH = 2
 TOGETHER = 1 << 11
 """Points of the nets of corners side by side, that are one net together, at most."""
 
-AROUND = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
+AROUND = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
 
 ERROR = 0.1

@@ -3,16 +3,16 @@
 
 Of a ray through a nave the sun's shafts light but a few pieces, and of the sky few directions come in by its
 windows, which are others at each distance. So dimensions of primary space are stretched: each has a grid of
-cells that points take equally often, for each cell of the dimensions before, and what pilots found of f^2 says
-how wide they are,
+cells that points take equally often, for each cell of the dimensions before, and what pilots found of f^2
+says how wide they are,
 
     density ~ sqrt(mean of f^2 in a cell of all three),   f becomes f / density
 
 as in G. P. Lepage, "A new algorithm for adaptive multidimensional integration", 1978, but of one step, of
 dimensions that depend on each other, and by light. Cells that few points tell of are taken for the product of
 what their dimensions are, each by itself. Grids of tiles are interpolated over the picture, so that what a
-point of a net finds still changes smoothly from pixel to pixel. Where little would be gained, dimensions stay as
-they are; and lights, with a few pilots spent on them.
+point of a net finds still changes smoothly from pixel to pixel. Where little would be gained, dimensions stay
+as they are; and lights, with a few pilots spent on them.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ EVERYWHERE = 0.2
 """Part of the density that is the same everywhere."""
 
 SURE = 0.5
-"""Points in a cell that tell as much of it as its dimensions do, each by itself; of so many points as there are if
-those that all of f^2 comes from are as bright as each other (square of the sum over sum of the squares)."""
+"""Points in a cell that tell as much of it as its dimensions do, each by itself; of so many points in all as
+there were if all that f^2 comes from were equally bright (square of the sum over the sum of squares)."""
 
 WORTH = 1.5, 2.0
 """By how much less f^2 is in the mean, from where on grids do what they learned, and at which all of it."""
@@ -61,15 +61,15 @@ WORTH = 1.5, 2.0
 class Guide:
     """Grids of tiles, of those of L lights that gain by it.
 
-    knots : (rows + 2, columns + 2, K, GRIDS, CELLS + 1) float32, with tiles beyond the edges. Of a light's grids
-        the first is of the first dimension, the next are of the second where the first is in each of its cells,
-        and so on.
+    knots : (rows + 2, columns + 2, K, GRIDS, CELLS + 1) float32, with tiles beyond the edges. Of a light's
+        grids one is of the first dimension, the next are of the second where the first is in each of its
+        cells, and so on.
     """
 
     def __init__(
         self, knots: np.ndarray, gaining: Sequence[int], lights: int, edge: int, corner: tuple[int, int]
     ) -> None:
-        """gaining : numbers of K lights out of so many. edge : of a tile, in pixels. corner : of the first."""
+        """gaining : numbers of K lights of all. edge : of a tile. corner : of the first, in pixels."""
         self._knots, self._gaining, self._lights = knots, gaining, lights
         self._edge, self._corner = edge, corner
 
@@ -160,7 +160,10 @@ class Guide:
     def stretched(
         self, tiles: tuple[np.ndarray, np.ndarray], ray: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Places (DIMENSIONS, L, N) at u (DIMENSIONS, N), and 1 / density (L, N), for ``ray`` (N,) of rays."""
+        """Places (DIMENSIONS, L, N) at u (DIMENSIONS, N), and 1 / density (L, N).
+
+        tiles : about R rays. ray : (N,), which of these.
+        """
         knots = self._knots.reshape(-1)
         first = tiles[0].take(ray, axis=1) * self._knots[0, 0].size
         part = tiles[1].take(ray, axis=1)
@@ -203,7 +206,7 @@ def _with_neighbours(a: np.ndarray) -> np.ndarray:
 
 
 def _gain(square: np.ndarray) -> float:
-    """How many times less f^2 is in the mean if points are spread along each dimension by itself as sums of f^2
+    """How many times less f^2 is in the mean if points are spread along each dimension by itself as its sums
     (rows, columns, CELLS, ...) say: these are surer than cells of all.
     """
     total = square.sum(axis=(2, 3, 4))
@@ -250,7 +253,7 @@ def _grids(density: np.ndarray) -> np.ndarray:
 
 
 def _knots(density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(..., CELLS + 1) float32, between which are as many points, for numbers (..., CELLS) of points in cells;
+    """(..., CELLS + 1) float32 between which equally many are of points (..., CELLS) in cells;
     and (..., CELLS, CELLS) what part of a cell lies between each two of them.
     """
     below = np.zeros((*density.shape[:-1], CELLS + 1))

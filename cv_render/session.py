@@ -73,6 +73,7 @@ def _render_view(engine: Any, depsgraph: Any, messages: Messages) -> Film:
     finally:
         sink.end()
     x0, y0, x1, y1 = scene.camera.region
+    passes.clamp(film)
     sink.write(film, 0, 0, x1 - x0, y1 - y0)
     if bpy.app.debug:
         seconds = {"seconds export": exported - begin, "seconds in all": time.perf_counter() - begin}

@@ -70,6 +70,18 @@ class RayTracer:
         hit = self._scene.run(origins, directions, dists=reach, output=True)
         return ClosestHits(hit["primID"], hit["tfar"], hit["u"], hit["v"], hit["Ng"])
 
+    def distance(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray = FAR
+    ) -> np.ndarray:
+        """(N,) float32 lengths of the direction to first hits; arguments as in `closest_hit`. ``reach`` where
+        there is none.
+        """
+        # An array would be overwritten.
+        reach = np.array(np.broadcast_to(reach, len(origins)), np.float32)
+        if self._scene is None:
+            return reach
+        return self._scene.run(origins, directions, dists=reach, query="DISTANCE")
+
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
         """(N,) bool: does anything lie within ``reach`` lengths of each ray's direction?
 

@@ -109,12 +109,11 @@ class Surfaces:
         return self._hit(self._camera_tracer, self._camera_rows, origins, directions, reach)
 
     def distance(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """(N,) lengths of the direction to what camera rays (N, 3) meet, ``reach`` where that is nothing.
+        """(N,) float32 lengths of the direction to what camera rays (N, 3) meet, ``reach`` if nothing.
 
         directions : (N, 3) or (1, 3). reach : a number or (N,) float32.
         """
-        hits = self._camera_tracer.closest_hit(origins, directions, reach)
-        return np.where(hits.triangle >= 0, hits.distance, reach)
+        return self._camera_tracer.distance(origins, directions, reach)
 
     def _hit(
         self,

@@ -23,6 +23,9 @@ BEND = 0.03
 ROWS = 32
 """Of the picture, traced at once."""
 
+MARGIN = 2
+"""Pixels about the image of a box, for what rounding does."""
+
 BETWEEN = np.array([0.25, 0.5, 0.75], np.float32)
 """Places between the corners of a pixel beside an outline, where more of it may pass."""
 
@@ -60,18 +63,63 @@ def silhouettes(
     if foggy is not None and _through_all(rays, region, foggy):
         foggy = None
     # Corners, and one more beyond each side for the differences.
-    x = np.arange(x0 - 1, x1 + 2)
+    low, high = np.array([[x0, y0], [x1, y1]]) + [[-1], [2]]
+    shape = tuple(high - low)
+    met = np.zeros(shape, np.uint64, order="F") if foggy is not None else None
+    inverse = np.full(shape, 1 / np.float32(rays.reach + rays.clip_start), np.float32, order="F")
+    if foggy is None:
+        low, high = _about_all(rays, surfaces.triangles.vertices, low, high)
+    x = np.arange(low[0], high[0])
 
-    def trace(low: int) -> tuple[np.ndarray, ...]:
-        y = np.arange(low, min(low + ROWS, y1 + 2))
+    def trace(first: int) -> None:
+        y = np.arange(first, min(first + ROWS, high[1]))
         column, row = (a.ravel() for a in np.meshgrid(x, y))
-        inverse, met = look(column, row, np.zeros((2, len(column), 1), np.float32), foggy)
-        found = (inverse,) if met is None else (inverse, met)
-        return tuple(a.reshape(len(y), len(x)).T for a in found)
+        found = look(column, row, np.zeros((2, len(column), 1), np.float32), foggy)
+        at = tuple(slice(a[0] - start, a[-1] + 1 - start) for a, start in ((x, x0 - 1), (y, y0 - 1)))
+        for whole, part in zip((inverse, met), found, strict=True):
+            if part is not None:
+                whole[at] = part.reshape(len(y), len(x)).T
 
-    strips = map_(trace, range(y0 - 1, y1 + 2, ROWS))
-    inverse, *met = (np.concatenate(parts, axis=1) for parts in zip(*strips, strict=True))
-    found = np.zeros((x1 - x0, y1 - y0), bool)
+    if len(x):
+        map_(trace, range(low[1], high[1], ROWS))
+    bent = map_(lambda row: _bent(inverse[:, row : row + ROWS + 3]), range(0, y1 - y0, ROWS))
+    found = np.concatenate(bent, axis=1)
+    fresh = found
+    for _ in range(ROUNDS):
+        before = found.copy()
+        for axis in range(2):
+            _follow(found, fresh, inverse, axis, region[:2], look)
+        fresh = found & ~before
+        if not fresh.any():
+            break
+    return found, None if met is None else met[1:-1, 1:-1]
+
+
+def _about_all(
+    rays: CameraRays, vertices: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of corners of pixels, those from ``low`` (2,) to before ``high`` about what of ``vertices`` (V, 3) is
+    in the picture: nothing is met elsewhere.
+    """
+    if not len(vertices):
+        return low, low
+    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    box = np.stack([ends[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)], axis=1)
+    image, depth = rays.image_of(box)
+    if not (depth > 0).all() or not np.isfinite(image).all():
+        return low, high
+    image = np.clip(image, low[:, None] - MARGIN, high[:, None] + MARGIN)
+    first = np.floor(image.min(axis=1)).astype(int) - MARGIN
+    last = np.ceil(image.max(axis=1)).astype(int) + MARGIN
+    first = np.clip(first, low, high)
+    return first, np.clip(last, first, high)
+
+
+def _bent(inverse: np.ndarray) -> np.ndarray:
+    """(W, H) bool, pixels with an outline between two of their corners. inverse : (W + 3, H + 3) of corners,
+    and of one more beyond each side.
+    """
+    found = np.zeros([n - 3 for n in inverse.shape], bool, order="F")
     for axis in range(2):
         q = np.moveaxis(inverse, axis, 0)
         bend = np.abs(q[:-2] - 2 * q[1:-1] + q[2:])
@@ -84,15 +132,7 @@ def silhouettes(
         first, last = [slice(None)] * 2, [slice(None)] * 2
         first[1 - axis], last[1 - axis] = slice(None, -1), slice(1, None)
         found |= crossed[tuple(first)] | crossed[tuple(last)]
-    fresh = found
-    for _ in range(ROUNDS):
-        before = found.copy()
-        for axis in range(2):
-            _follow(found, fresh, inverse, axis, region[:2], look)
-        fresh = found & ~before
-        if not fresh.any():
-            break
-    return found, met[0][1:-1, 1:-1] if met else None
+    return found
 
 
 def _through_all(rays: CameraRays, region: tuple[int, int, int, int], media: Media) -> bool:

@@ -314,6 +314,7 @@ def engine_settings(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
         depth=view_layer.use_pass_z,
         normals=view_layer.use_pass_normal,
         standard_error=view_layer.cv_render.use_pass_standard_error,
+        terms=view_layer.cv_render.use_pass_control_variate or view_layer.cv_render.use_pass_residual,
         tile_size=int(chosen.tile_size),
     )
 

@@ -156,13 +156,20 @@ class NetPicture:
             done = number + 1
             if enough():
                 break
-        layer = self._layer
-        for term in (layer.radiance, layer.control_variate, layer.residual):
-            term /= done
-            np.clip(term, -LARGEST, LARGEST, out=term)
-        # Of all nets together; until here, the squares' sum.
-        np.sqrt(layer.standard_error, out=layer.standard_error)
-        layer.standard_error /= done
+
+        def finish(low: int) -> None:
+            part, layer = slice(low, low + TILE * CELL), self._layer
+            terms = (layer.control_variate, layer.residual) if self._settings.terms else ()
+            for term in (layer.radiance, *terms):
+                term[part] /= done
+                np.clip(term[part], -LARGEST, LARGEST, out=term[part])
+            if self._settings.standard_error:
+                # Of all nets together; until here, the squares' sum.
+                error = layer.standard_error[part]
+                np.sqrt(error, out=error)
+                error /= done
+
+        map_(finish, range(0, self._height, TILE * CELL))
 
     def _finish_round(self, map_: Map, outline: np.ndarray, elsewhere: np.ndarray) -> None:
         """Correct what the net has in common, and sample pixels (H, W) bool that an ``outline`` crosses."""
@@ -251,17 +258,12 @@ class NetPicture:
         """f itself in some pixels (B,), by so many camera rays each."""
         self._check()
         index, cameras = work
-        layer = self._layer
         y, x = np.divmod(index, self._width)
         pixels = self._pixels(x, y)
         sums = sum_samples(self._integrand, pixels, pixels.key(), self._plain, 0, cameras, 1, BATCH)
-        value = sums.values[:3].T / cameras
-        layer.radiance[y, x] += value
-        layer.residual[y, x] += value
-        layer.sample_count[y, x] += cameras
+        value = sums.values[:3] / cameras
         # As if half of all points were dark.
-        error = np.square(value.mean(axis=1)) / cameras**1.5
-        layer.standard_error[y, x] += error[:, None]
+        self._add(index, None, value, cameras, np.square(value.mean(axis=0)) / cameras**1.5)
 
     def _strip(self, work: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, dict[int, np.ndarray]]:
         """Of a row of tiles, those that have ``count`` points. Returns rows and columns of their corners, and
@@ -307,16 +309,26 @@ class NetPicture:
                 found = self._asked(*where, corners[:, part], cell[part], values, chance, due)
                 residual[:, part] = found[:3]
                 variance[part] += found[3]
-        layer = self._layer
-        at = y * self._width + x
-        _add(layer.control_variate, at, h.T)
-        _add(layer.residual, at, residual.T)
-        h += residual
-        _add(layer.radiance, at, h.T)
-        _add(layer.standard_error, at, variance[:, None])
-        if not self._alone:
-            layer.sample_count[y, x] += 1
+        self._add(y * self._width + x, h, residual, int(not self._alone), variance)
         return row, column, means
+
+    def _add(
+        self, at: np.ndarray, h: np.ndarray | None, residual: np.ndarray, samples: int, variance: np.ndarray
+    ) -> None:
+        """Add both terms (3, B), None for 0, of pixels (B,), which are different ones, to what they have; the
+        samples that it took, and variances (B,).
+        """
+        layer = self._layer
+        sums = [(layer.radiance, residual if h is None else h + residual)]
+        if self._settings.terms:
+            sums += [(layer.residual, residual)] + ([] if h is None else [(layer.control_variate, h)])
+        if self._settings.standard_error:
+            sums.append((layer.standard_error, variance[None]))
+        for term, values in sums:
+            # By one index: several times faster than by two.
+            rows = term.reshape(-1, term.shape[2])
+            rows[at] += values.T
+        layer.sample_count.reshape(-1)[at] += samples
 
     def _add_rough(self, x: np.ndarray, y: np.ndarray, spread: np.ndarray, count: int) -> None:
         """All ``count`` points of the net in pixels (B,), at a few places in turn; spread : (B,) of points.
@@ -331,12 +343,8 @@ class NetPicture:
             stage = self._integrand.first(pixels, self._places.points(pixels.key(), 0, places))
             # Consecutive points are nets of their own.
             f = values_at(self._integrand, stage, n * places, None, np.tile(net, n))[:3]
-            value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64).T
-            at, layer = (y[part], x[part]), self._layer
-            layer.radiance[at] += value
-            layer.residual[at] += value
-            layer.sample_count[at] += places
-            layer.standard_error[at] += (spread[part] / count**1.5)[:, None]
+            value = f.reshape(3, n, -1).mean(axis=2, dtype=np.float64)
+            self._add(y[part] * self._width + x[part], None, value, places, spread[part] / count**1.5)
 
     def _at_corners(self, rows: np.ndarray, columns: np.ndarray, count: int) -> np.ndarray:
         """(3, rows, columns, N) values of the net's first ``count`` points at these corners of cells.
@@ -466,7 +474,7 @@ class NetPicture:
             found = rows.take(i, axis=2) * (1 - across) + rows.take(i + 1, axis=2) * across
             np.copyto(change, found, where=count_of == count)
         change *= self._served[part]
-        for term in (self._layer.radiance, self._layer.control_variate):
+        for term in (self._layer.radiance, *[self._layer.control_variate] * self._settings.terms):
             term[part] += change.transpose(1, 2, 0)
 
     def _in_cells(
@@ -504,13 +512,6 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _bilinear(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(4, B) weights of a cell's corners at u, v (B,): left and right, of the lower ones first."""
     return np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
-
-
-def _add(term: np.ndarray, at: np.ndarray, values: np.ndarray) -> None:
-    """Add values (B, C) to pixels ``at`` (B,) of a term (H, W, C), which are different ones."""
-    # By one index: several times faster than by two.
-    rows = term.reshape(-1, term.shape[2])
-    rows[at] += values
 
 
 def _corners_of(row: np.ndarray, column: np.ndarray, columns: int) -> np.ndarray:

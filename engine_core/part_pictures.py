@@ -67,10 +67,12 @@ class SeenPicture:
                     mean, error = means(some, points.points(some.key(), 0, count))
                     at = some.y - y0, some.x - x0
                     layer.radiance[at] += np.clip(mean, -LARGEST, LARGEST).T
-                    layer.standard_error[at] += np.minimum(error, LARGEST).T
+                    if self._settings.standard_error:
+                        layer.standard_error[at] += np.minimum(error, LARGEST).T
 
         map_(draw, range(y0, y1, ROWS))
-        layer.control_variate[:] = layer.radiance
+        if self._settings.terms:
+            layer.control_variate[:] = layer.radiance
 
 
 @dataclass(eq=False)
@@ -124,14 +126,20 @@ class AroundLightsPicture:
         """Take the first samples of all; arguments as in `SeenPicture`."""
         self._prepare(2 * max(FIRST_SAMPLES))
 
-        def begin(term: _Term) -> None:
-            every = np.arange(len(term.block.x))
-            one, other = (self._sum(term, every, low, term.first) for low in (0, term.first))
-            term.total = one + other
-            apart = np.square(np.abs(one - other).sum(axis=0)) / 2
-            term.spread = np.sqrt(_of_neighbours(term.block, apart))
+        def begin(piece: tuple[_Term, slice]) -> None:
+            term, part = piece
+            rows = np.arange(len(term.count))[part]
+            one, other = (self._sum(term, rows, low, term.first) for low in (0, term.first))
+            term.total[:, part] = one + other
+            term.spread[part] = np.square(np.abs(one - other).sum(axis=0)) / 2
 
-        map_(begin, self._terms)
+        pieces = []
+        for term in self._terms:
+            step = max(1, self._settings.batch_size // term.first)
+            pieces += [(term, slice(low, low + step)) for low in range(0, len(term.count), step)]
+        map_(begin, pieces)
+        for term in self._terms:
+            term.spread = np.sqrt(_of_neighbours(term.block, term.spread))
         self.show(map_)
 
     def allocate(self, map_: Map, around: np.ndarray, bright: float, of_surfaces: float | None) -> None:
@@ -155,6 +163,8 @@ class AroundLightsPicture:
                         (int(n), term, rows[low : low + step]) for low in range(0, len(rows), step)
                     ]
         self._prepare(max((n for n, _, _ in self._work), default=0))
+        # The largest first, so that no thread ends up with it alone.
+        self._work.sort(key=lambda work: -work[0] * len(work[2]))
 
     def __len__(self) -> int:
         """How many pieces of work there are."""
@@ -178,9 +188,9 @@ class AroundLightsPicture:
         for term in self._terms:
             at = term.block.y - y0, term.block.x - x0
             layer.sample_count[at] += term.count
-            layer.standard_error[at] = np.hypot(
-                layer.standard_error[at], (term.spread / term.count / 3)[:, None]
-            )
+            if self._settings.standard_error:
+                error = (term.spread / term.count / 3)[:, None]
+                layer.standard_error[at] = np.hypot(layer.standard_error[at], error)
 
     def show(self, map_: Map) -> None:
         """Sum all terms up, in one order. map_ : not used."""
@@ -189,7 +199,8 @@ class AroundLightsPicture:
         for term in self._terms:
             mean = np.clip(term.total / term.count, -LARGEST, LARGEST).T
             radiance[term.block.y - y0, term.block.x - x0] += mean
-        self._layer.residual[:] = radiance
+        if self._settings.terms:
+            self._layer.residual[:] = radiance
 
     def _prepare(self, count: int) -> None:
         for nets in self._nets.values():

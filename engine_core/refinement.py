@@ -193,9 +193,9 @@ class ControlVariatePicture:
         self._mean[:, x, y] = mean.reshape(CHANNELS, *tile.shape)
         self._error[x, y] = error.reshape(tile.shape)
         self._plain[x, y] = unexplained.reshape(tile.shape) > BEYOND_HOPE
-        shown = self._first[:, x, y] + self._mean[:, x, y]
-        self._write(x, y, shown)
-        self._film.control_variate[y, x] = np.clip(shown, -LARGEST, LARGEST).T
+        self._write(x, y, self._first[:, x, y] + self._mean[:, x, y])
+        if self._settings.terms:
+            self._film.control_variate[y, x] = self._film.combined[y, x, :CHANNELS]
 
     def _allocate(self, map_: Map) -> None:
         """Sample all pixels once, which stays, and decide by it and the nodes how often each is sampled."""
@@ -240,7 +240,7 @@ class ControlVariatePicture:
         due, _ = sample_counts(in_proportion.ravel(), budget / (1 + twice.mean()), defensive, FREE)
         self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
-            brightness = np.sqrt(np.maximum(self._film.control_variate.mean(axis=-1).T, 0))
+            brightness = np.sqrt(np.maximum(self._film.combined[..., :CHANNELS].mean(axis=-1).T, 0))
             wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
             # The error of a net falls about as n^-3/4.
             enough = np.ceil(np.log2(np.maximum(error / wanted, 1)) * 4 / 3).astype(np.int64)
@@ -292,9 +292,9 @@ class ControlVariatePicture:
         film, h = self._film, self._first[:, x, y] + self._mean[:, x, y]
         residual = self._residual.reshape(self._mean.shape)[:, x, y]
         self._write(x, y, h + residual)
-        if self._plain[part].any():
-            film.control_variate[y, x] = np.clip(h, -LARGEST, LARGEST).T
-        film.residual[y, x] = np.clip(residual, -LARGEST, LARGEST).T
+        if self._settings.terms:
+            for term, value in ((film.control_variate, h), (film.residual, residual)):
+                term[y, x] = np.clip(value, -LARGEST, LARGEST).T
         film.sample_count[y, x] = (self._count(part, pass_) * (1 + self._twice[part])).T
         self._reached = pass_
 

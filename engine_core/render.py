@@ -93,7 +93,8 @@ class _Render:
         # A picture of what is black needs its depth alone.
         self._sampled = self._integrand.shows or bool(self._parts and not self._parts_done)
         shown = [part.shows for part in self._parts]
-        self._film = Film.empty(*scene.camera.region_size, shown, self._sampled)
+        asked = settings.terms, settings.standard_error, settings.normals
+        self._film = Film.empty(*scene.camera.region_size, shown, self._sampled, *asked)
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
         plainly = [] if self._parts_done else list(zip(self._parts, self._film.layers[1:], strict=True))
@@ -129,6 +130,7 @@ class _Render:
                 if self._settings.standard_error:
                     self._plain.finish()
             self._film.stopped_by = ended
+            self._compose()
         finally:
             self._workers.close()
         self._report()
@@ -189,11 +191,17 @@ class _Render:
 
     def _show(self, x0: int, y0: int, x1: int, y1: int) -> None:
         if self._sink.watched:
-            self._film.compose(x0, y0, x1, y1, self._settings.standard_error)
+            self._film.compose(x0, y0, x1, y1)
             self._sink.tile(self._film, x0, y0, x1, y1)
 
     def _show_all(self) -> None:
-        self._show(0, 0, *self._camera.region_size)
+        if self._sink.watched:
+            self._compose()
+            self._sink.tile(self._film, 0, 0, *self._camera.region_size)
+
+    def _compose(self) -> None:
+        width, height = self._camera.region_size
+        self._workers.map(lambda low: self._film.compose(0, low, width, low + ROWS), range(0, height, ROWS))
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
@@ -222,10 +230,7 @@ class _Render:
             outcome, ended = self._workers.drive(build, f"Building {part.name}")
             if not ended:
                 outcome.result()
-                if self._sink.watched:
-                    if isinstance(picture, Refined):
-                        picture.show(self._workers.map)
-                    self._show_all()
+                self._show_all()
             built.append((picture, time.perf_counter() - begin))
             if ended:
                 break
@@ -260,8 +265,7 @@ class _Render:
 
         def add(low: int) -> None:
             for layer in self._film.layers[1:]:
-                for term in (layer.control_variate, layer.residual):
-                    around[low : low + ROWS] += np.einsum("yxc->yx", term[low : low + ROWS])
+                around[low : low + ROWS] += np.einsum("yxc->yx", layer.radiance[low : low + ROWS])
 
         self._workers.map(add, range(0, len(around), ROWS))
         bright = float(around.mean(dtype=np.float64))
@@ -448,7 +452,6 @@ class _Render:
     def _report(self) -> None:
         end, began, built = time.perf_counter(), self._workers.began, self._workers.built
         film = self._film
-        film.compose(0, 0, *self._camera.region_size, self._settings.standard_error)
         self._counts.update(self._plain.counts)
         if not self._parts_done:
             for part in self._parts:

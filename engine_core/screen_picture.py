@@ -137,8 +137,9 @@ class ScreenPicture:
         self._wedges, self._bodies = by.wedges, by.bodies
         self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
-        # The layer's own.
-        self._mean, self._residual, self._count = layer.control_variate, layer.residual, layer.sample_count
+        # The layer's own, as long as no sample is added to what the polynomials are.
+        self._mean, self._count = layer.radiance[..., :CHANNELS], layer.sample_count
+        self._residual = layer.residual if settings.terms else np.zeros(layer.residual.shape, np.float32)
         self._cost = max(1.0, by.rays / SHADOW_RAYS)
         self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
@@ -302,7 +303,7 @@ class ScreenPicture:
         self._prepare(at_outlines)
         # Dear samples are fewer.
         dear = float(np.clip(self._cost / DEAR, 1, MOST_DEAR))
-        pilot = np.flatnonzero(evenly_spread((width, height), PILOT_ONE_IN * dear, settings.seed).T & served)
+        pilot = np.flatnonzero(evenly_spread((height, width), PILOT_ONE_IN * dear, settings.seed) & served)
         kinds = [(1, pilot), (at_outlines, crossed), (AT_BESIDE, alone[beside])]
 
         def few(chunk: tuple[int, np.ndarray]) -> np.ndarray:
@@ -397,11 +398,12 @@ class ScreenPicture:
         region, pilot = self._region, kinds[0]
         said, deviation = np.empty((2, *region.shape), np.float32)
 
-        def look_up(rows: slice) -> None:
+        def look_up(rows: slice) -> float:
             of_region.take(region[rows], mode="wrap", out=said[rows])
+            return float(_summed(self._mean[rows]).sum(dtype=np.float64))
 
-        map_(look_up, self._rows())
-        learned = Learned.of(squares[0], pilot, said, float(self._mean.mean()) * CHANNELS)
+        bright = sum(map_(look_up, self._rows())) / region.size
+        learned = Learned.of(squares[0], pilot, said, bright)
 
         def expect(rows: slice) -> None:
             # What a node says of its own noise is known: few samples would miss what is rare in it.
@@ -481,13 +483,16 @@ class ScreenPicture:
         )
 
     def show(self, map_: Map) -> None:
-        """Sum both terms of all pixels up."""
+        """Add the residual to the polynomials of all pixels, once."""
 
         def rows(some: slice) -> None:
-            # The picture may have one channel more.
-            radiance = self._layer.radiance[some][..., :CHANNELS]
-            np.add(self._mean[some], self._residual[some], out=radiance)
-            np.clip(radiance, -LARGEST, LARGEST, out=radiance)
+            if self._settings.terms:
+                self._layer.control_variate[some] = self._mean[some]
+            # The picture may have one channel more, and rows of three are slow.
+            for c in range(CHANNELS):
+                radiance = self._mean[some][..., c]
+                radiance += self._residual[some][..., c]
+                np.clip(radiance, -LARGEST, LARGEST, out=radiance)
 
         map_(rows, self._rows())
 

@@ -34,6 +34,7 @@ from engine_core.part_pictures import SeenPicture, _of_neighbours
 from engine_core.parts import parts_of
 from engine_core.screen_picture import _overlooked
 from engine_core.shading.closures import Emission, Mix, Transparent
+from engine_core.transport import silhouettes as module
 from engine_core.transport.around_light import Block, lit_angles, peaks, polar, tamed, wedges
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
@@ -541,6 +542,51 @@ def test_cancel_while_fog_is_sampled_leaves_what_is_built() -> None:
     assert film.statistics["control variate"] == "built"
     assert film.stopped_by == "cancel"
     assert np.isfinite(film.combined).all() and film.combined[..., :3].max() > 0
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_outlines_are_looked_for_where_something_is(orthographic, monkeypatch):
+    """In front of the camera, beside it, about it and behind it."""
+    random = np.random.default_rng(11)
+    traced = []
+    for _ in range(12):
+        at, to = random.normal(size=(2, 3)) * (2, 2, 1)
+        camera = Camera.look_at(at, to, 48, 32, 3.0 if orthographic else 0.8, clip_start=0.1)
+        if orthographic:
+            camera = replace(camera, projection="orthographic")
+        ball = sphere(random.normal(size=3) * 2, random.uniform(0.2, 1.0))
+        made = scene(PointLight(1.0, position=OUTSIDE))
+        made = DirectLight(replace(made, camera=camera, meshes=(ball,), materials=(Material(0.0),)))
+        both = []
+        for everywhere in (False, True):
+            with monkeypatch.context() as patch:
+                if everywhere:
+                    patch.setattr(module, "_about_all", lambda rays, vertices, low, high: (low, high))
+                rays, found = made.stage.rays, []
+                patch.setattr(type(rays), "rays", lambda *a, f=type(rays).rays: found.append(a) or f(*a))
+                both.append(silhouettes(rays, made.surfaces, camera.region, in_order)[0])
+                traced.append(sum(a[3][0].size for a in found))
+        np.testing.assert_array_equal(*both)
+    assert sum(traced[::2]) < 0.7 * sum(traced[1::2])
+
+
+@pytest.mark.parametrize("integrator", ["control_variates", "cv_only", "sobol"])
+@pytest.mark.parametrize("reflectance", [0.0, 0.5])
+def test_what_is_not_asked_for_changes_no_picture(integrator, reflectance):
+    """Of a point, a ball, a light in the picture and a laser; what is not asked for takes no memory."""
+    lights = (*LIT["point"], *LIT["ball"], *LIT["in the picture"], *LIT["laser"])
+    made = scene(*lights, reflectance=reflectance)
+    settings = Settings(2, integrator=integrator)
+    asked, bare = render(made, settings), render(made, replace(settings, terms=False))
+    np.testing.assert_array_equal(bare.combined, asked.combined)
+    np.testing.assert_array_equal(bare.sample_count, asked.sample_count)
+    assert_picture_is_sound(asked)
+    for unasked in (bare.control_variate, bare.residual, bare.standard_error, bare.normal):
+        assert unasked.strides == (0, 0, 0) and not unasked.any()
+    assert asked.control_variate.any() == (integrator != "sobol")
+    full = render(made, replace(settings, standard_error=True, normals=True))
+    assert full.standard_error.any(axis=2).mean() > 0.9 or integrator == "sobol"
+    assert full.normal.any()
 
 
 def clouds(camera: Camera, radius: float, *lights) -> Scene:

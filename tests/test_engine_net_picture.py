@@ -86,7 +86,7 @@ def picture(
         return found
 
     by = OverNet(integrand or Broken(), samples, outlines, fewest=8)
-    settings = Settings(1, seed=seed, integrator=integrator)
+    settings = Settings(1, seed=seed, integrator=integrator, standard_error=True)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
     made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)
     return layer

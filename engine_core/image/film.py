@@ -28,7 +28,8 @@ class Layer:
     """What one integral adds to a picture.
 
     shows : `SURFACE`, `VOLUME` or `LASER`.
-    radiance : (H, W, 3 or more) float32. control_variate, residual, standard_error : (H, W, 3), of it.
+    radiance : (H, W, 3 or more) float32. control_variate, residual, standard_error : (H, W, 3), of it; those
+        that nobody asked for are zeros that take no memory and can't be written.
     sample_count : (H, W) int32.
     """
 
@@ -40,9 +41,25 @@ class Layer:
     sample_count: np.ndarray
 
     @classmethod
-    def empty(cls, shows: str, width: int, height: int, channels: int = 3) -> Layer:
-        radiance, *others = (np.zeros((height, width, c), np.float32) for c in (channels, 3, 3, 3))
+    def empty(
+        cls,
+        shows: str,
+        width: int,
+        height: int,
+        channels: int = 3,
+        terms: bool = True,
+        errors: bool = True,
+    ) -> Layer:
+        """terms : whether control variate and residual are asked for. errors : whether standard errors are."""
+        radiance = np.zeros((height, width, channels), np.float32)
+        others = (_zeros(width, height, asked) for asked in (terms, terms, errors))
         return cls(shows, radiance, *others, np.zeros((height, width), np.int32))
+
+
+def _zeros(width: int, height: int, asked: bool) -> np.ndarray:
+    """(H, W, 3) of zeros; only ``asked`` for are they more than one that is read everywhere."""
+    shape = (height, width, 3)
+    return np.zeros(shape, np.float32) if asked else np.broadcast_to(np.float32(0), shape)
 
 
 @dataclass(eq=False)
@@ -55,6 +72,7 @@ class Film:
     sample_count : (H, W) int32, samples spent, of all integrals; of control variates, those of the residual.
     control_variate, residual : (H, W, 3) float32, the two terms of control variates' radiance; else 0.
     standard_error : (H, W, 3) float32, of the radiance; inf where nothing is known of it.
+    Of normals, both terms and errors, those that `Settings` does not ask for are zeros that can't be written.
     layers : what all this is the sum of, the surfaces' first, with alpha.
     messages : what could not be rendered as asked, one sentence each.
     statistics : counts and seconds by stage, for people (docs/development.md says what each is).
@@ -74,24 +92,41 @@ class Film:
     stopped_by: str = "samples"
 
     @classmethod
-    def empty(cls, width: int, height: int, further: Sequence[str] = (), surfaces: bool = True) -> Film:
-        """further : what layers show beside the surfaces'. surfaces : whether these are more than black."""
-        surface = Layer.empty(SURFACE, width, height, 4)
-        if not surfaces:
-            black = np.broadcast_to(OPAQUE, surface.radiance.shape)
-            surface.radiance = black if further else black.copy()
+    def empty(
+        cls,
+        width: int,
+        height: int,
+        further: Sequence[str] = (),
+        surfaces: bool = True,
+        terms: bool = True,
+        errors: bool = True,
+        normals: bool = True,
+    ) -> Film:
+        """further : what layers show beside the surfaces'. surfaces : whether these are more than black.
+
+        terms, errors : as in `Layer.empty`. normals : whether they are asked for.
+        """
+        asked = {"terms": terms, "errors": errors}
+        whole = surface = Layer.empty(SURFACE, width, height, 4, **asked)
         # A picture of surfaces alone is its only layer.
-        whole = Layer.empty(SURFACE, width, height, 4) if further else surface
-        layers = [surface, *(Layer.empty(shows, width, height) for shows in further)]
+        if further and surfaces:
+            surface = Layer.empty(SURFACE, width, height, 4, **asked)
+        elif further:
+            count = np.zeros((height, width), np.int32)
+            nothing = [_zeros(width, height, False)] * 3
+            surface = Layer(SURFACE, np.broadcast_to(OPAQUE, whole.radiance.shape), *nothing, count)
+        elif not surfaces:
+            whole.radiance[:] = OPAQUE
         if not surfaces and len(further) == 1:
             # As is one of what is before them, but for the counts.
-            only = layers[1]
-            only.radiance, only.control_variate = whole.radiance[..., :3], whole.control_variate
-            only.residual, only.standard_error = whole.residual, whole.standard_error
+            shared = whole.radiance[..., :3], whole.control_variate, whole.residual, whole.standard_error
+            layers = [surface, Layer(further[0], *shared, np.zeros((height, width), np.int32))]
+        else:
+            layers = [surface, *(Layer.empty(shows, width, height, **asked) for shows in further)]
         return cls(
             whole.radiance,
             np.full((height, width), FAR, np.float32),
-            np.zeros((height, width, 3), np.float32),
+            _zeros(width, height, normals),
             whole.sample_count,
             whole.control_variate,
             whole.residual,
@@ -114,24 +149,27 @@ class Film:
             self.messages,
         )
 
-    def compose(self, x0: int, y0: int, x1: int, y1: int, errors: bool = True) -> None:
-        """Sum the layers up in pixels [y0:y1, x0:x1]. errors : their standard errors too."""
+    def compose(self, x0: int, y0: int, x1: int, y1: int) -> None:
+        """Sum the layers up in pixels [y0:y1, x0:x1]."""
         first, *further = self.layers
         if not further:
             return
         at = np.s_[y0:y1, x0:x1]
         self.combined[at][..., 3] = first.radiance[at][..., 3]
-        pairs = [(self.sample_count, "sample_count")]
-        if further[0].residual is self.residual:
-            errors = False
-        else:
-            pairs += [(self.combined[..., :3], "radiance"), (self.control_variate, "control_variate")]
-            pairs += [(self.residual, "residual")]
-        for total, name in pairs:
-            before = getattr(first, name)[..., :3] if name == "radiance" else getattr(first, name)
+        names, errors = ["sample_count"], False
+        if not np.may_share_memory(further[0].radiance, self.combined):
+            for c in range(3):
+                # Channel by channel: rows of three are slow where there are four in a pixel.
+                before, total = first.radiance[at][..., c], self.combined[at][..., c]
+                for layer in further:
+                    before = np.add(before, layer.radiance[at][..., c], out=total)
+            if self.residual.flags.writeable:
+                names += ["control_variate", "residual"]
+            errors = self.standard_error.flags.writeable
+        for name in names:
+            before, total = getattr(first, name)[at], getattr(self, name)[at]
             for layer in further:
-                np.add(before[at], getattr(layer, name)[at], out=total[at])
-                before = total
+                before = np.add(before, getattr(layer, name)[at], out=total)
         if errors:
             squares = sum(np.square(layer.standard_error[at]) for layer in self.layers)
             self.standard_error[at] = np.sqrt(squares)

@@ -26,7 +26,9 @@ from .integration.mapping import Map
 from .integration.point_sets import RandomPoints, SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
+from .integration.standard_error import sums_around
 from .parts import OverNet, Region, cell_of
+from .points_of_tiles import enough_points, points_of_tiles, roughness_of_tiles
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -35,19 +37,6 @@ CELL = 4
 
 TILE = 8
 """Cells along the edge of a tile, all of which follow as many points."""
-
-MOST_OFTEN = 2
-"""Binary logarithm of how many times as many points a tile has as the mean at most, or as few at least."""
-
-FEWEST = 4, 8
-"""Points of a tile at least, powers of two: half of the mean, but within these."""
-
-GROWTH = 0.5
-"""Points of a tile go as its deviation to this power. Variances of nets fall as points to the power 1.5, so
-.8 has the least error; but the eye sees what the dark is wrong by in proportion."""
-
-PILOTS, PILOT_POINTS = 2, 64
-"""Along a tile's edge, places that tell its deviation; and points of each, a power of four."""
 
 LOG_SURE = 6
 SURE = 1 << LOG_SURE
@@ -84,14 +73,6 @@ TOGETHER = 1 << 11
 
 AROUND = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
-
-ERROR = 0.1
-"""What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
-N^1.5."""
-
-HIDDEN = 0.4
-"""Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
-seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
 
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
@@ -206,44 +187,14 @@ class NetPicture:
         self._by_fresh = np.zeros((3, *self._corners))
 
     def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
-        """(rows, columns) int of tiles: points of each, powers of two; on average about as many as asked for,
-        or as few as the ``noise`` of what is shown beside hides.
-
-        Points of their own say where many are of use, so that those of the nets stay free of what they show.
-        """
-        rows, columns = self._tiles
-        step = TILE * CELL // PILOTS
-        y, x = (
-            np.minimum(np.arange(n * PILOTS) * step + step // 2, end - 1)
-            for n, end in ((rows, self._height), (columns, self._width))
+        """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
+        shape = self._height, self._width
+        rough = roughness_of_tiles(
+            self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
         )
-        points = SobolPoints(range(self._integrand.rest_dimensions), self._settings.seed, 106)
-        points.prepare(PILOT_POINTS)
-        pixels = self._pixels(*(a.ravel() for a in np.meshgrid(x, y)))
-        size = max(1, BATCH // PILOT_POINTS)
-
-        def roughness(low: int) -> np.ndarray:
-            self._check()
-            some = pixels[low : low + size]
-            net = points.points(some.key(), 0, PILOT_POINTS)
-            middle = np.full((2, len(some), 1), 0.5, np.float32)
-            stage = self._integrand.first(some, middle)
-            f = values_at(self._integrand, stage, len(some), None, net.reshape(len(net), -1))[:3]
-            return _roughness(f.reshape(3, len(some), -1), net)
-
-        found = np.concatenate(map_(roughness, range(0, len(pixels), size)))
-        found = found.reshape(rows, PILOTS, columns, PILOTS).mean(axis=(1, 3))
-        # What few pilots missed, those around may tell.
-        weights = np.array([1.0, 2.0, 1.0])
-        for axis in range(2):
-            found = _sum_around(found, axis, weights) / _sum_around(np.ones_like(found), axis, weights)
         if noise and self._by.fewest:
-            # Channels are summed in what was found.
-            least = (ERROR / 9 * found.mean() / (HIDDEN * noise) ** 2) ** (2 / 3)
-            enough = 1 << int(np.ceil(np.log2(np.clip(least, self._by.fewest, self._by.points))))
-            self._take(enough)
-        fewest = int(np.clip(self._points // 2, *FEWEST))
-        return _shared(found ** (GROWTH / 2), self._points, fewest)
+            self._take(enough_points(rough, noise, self._by.fewest, self._by.points))
+        return points_of_tiles(rough, self._points)
 
     def _of_pixels(self, a: np.ndarray) -> np.ndarray:
         """(H, W) of pixels, of what is one number for each tile."""
@@ -453,7 +404,7 @@ class NetPicture:
         known = np.isfinite(off)
         off[~known] = 0
         off, weight = (
-            _sum_around(_sum_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
+            sums_around(sums_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
         )
         off /= np.maximum(weight, 1e-9)
         return off
@@ -553,52 +504,3 @@ def _largest_around(a: np.ndarray) -> np.ndarray:
         np.maximum(largest[many], a[few], out=largest[many])
         a = largest
     return a
-
-
-def _sum_around(a: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
-    """Sums of ``a`` and those around it along an axis, by weights."""
-    reach, n = len(weights) // 2, a.shape[axis]
-    sums = weights[reach] * a
-    for shift in range(1, min(reach, n - 1) + 1):
-        low, high = [slice(None)] * a.ndim, [slice(None)] * a.ndim
-        low[axis], high[axis] = slice(None, -shift), slice(shift, None)
-        sums[tuple(low)] += weights[reach + shift] * a[tuple(high)]
-        sums[tuple(high)] += weights[reach - shift] * a[tuple(low)]
-    return sums
-
-
-def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
-    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2.
-
-    That counts the edges of shadows in the net's square, by their length and height, as its error does.
-    """
-    dimensions, places, count = net.shape
-    if dimensions == 0:
-        return np.zeros(places)
-    edge = round(count ** (1 / min(dimensions, 2)))
-    # One point in each cell.
-    cell = np.zeros((places, count), np.intp)
-    for u in net[:2]:
-        cell = cell * edge + (u * edge).astype(np.intp)
-    grid = np.take_along_axis(f.sum(axis=0, dtype=np.float64), np.argsort(cell, axis=1), axis=1)
-    grid = grid.reshape(places, *[edge] * min(dimensions, 2))
-    axes = range(1, grid.ndim)
-    return sum(np.square(np.diff(grid, axis=axis)).mean(axis=tuple(axes)) for axis in axes)
-
-
-def _shared(wanted: np.ndarray, mean: int, fewest: int) -> np.ndarray:
-    """``mean`` times powers of two, nearly in proportion to ``wanted`` (rows, columns): on average
-    about ``mean``, ``fewest`` at least.
-    """
-    if not wanted.any():
-        # Black, as far as is seen.
-        return np.full(wanted.shape, min(mean, fewest))
-    least = max(-MOST_OFTEN, int(np.log2(fewest / mean))) if mean > fewest else 0
-    with np.errstate(divide="ignore"):
-        level = np.log2(wanted / wanted.mean())
-    # The more, the higher the scale: the highest that does not take more in the mean.
-    scales = np.linspace(-MOST_OFTEN - 1, MOST_OFTEN + 1, 97)
-    levels = np.clip(np.rint(level + scales[:, None, None]), least, MOST_OFTEN)
-    means = np.exp2(levels).mean(axis=(1, 2))
-    chosen = levels[np.abs(means - 1).argmin()]
-    return (mean * np.exp2(chosen)).astype(int)

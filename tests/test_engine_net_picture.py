@@ -14,6 +14,7 @@ from engine_core import net_picture as module
 from engine_core.image.film import LASER, Layer
 from engine_core.net_picture import NetPicture
 from engine_core.parts import OverNet
+from engine_core.points_of_tiles import _roughness, _shared
 from engine_core.transport.camera_hits import Pixels
 
 WIDTH, HEIGHT = 22, 13  # no multiples of a cell
@@ -152,14 +153,14 @@ def test_points_go_where_values_differ():
     # An edge along u[0] = 1/2 of height 2 in the sum of channels, and nothing.
     f = np.zeros((3, 2, 64))
     f[:2, 1] = net[0, 1] < 0.5
-    np.testing.assert_allclose(module._roughness(f, net), [0, 4 / 7])
+    np.testing.assert_allclose(_roughness(f, net), [0, 4 / 7])
     wanted = random.random((30, 40)) ** 2
-    shared = module._shared(wanted, 64, 8)
+    shared = _shared(wanted, 64, 8)
     assert set(np.unique(shared)) <= {16, 32, 64, 128, 256}
     assert abs(shared.mean() - 64) < 3
     assert np.corrcoef(shared.ravel(), wanted.ravel())[0, 1] > 0.9
-    assert (module._shared(np.zeros((2, 2)), 64, 8) == 8).all()
-    assert module._shared(wanted, 8, 8).min() == 8
+    assert (_shared(np.zeros((2, 2)), 64, 8) == 8).all()
+    assert _shared(wanted, 8, 8).min() == 8
 
 
 def test_terms_add_up_and_order_changes_nothing(monkeypatch):

@@ -50,7 +50,7 @@ class Layer:
         terms: bool = True,
         errors: bool = True,
     ) -> Layer:
-        """terms : whether control variate and residual are asked for. errors : whether standard errors are."""
+        """terms : whether control variate and residual are asked for. errors : whether errors are."""
         radiance = np.zeros((height, width, channels), np.float32)
         others = (_zeros(width, height, asked) for asked in (terms, terms, errors))
         return cls(shows, radiance, *others, np.zeros((height, width), np.int32))

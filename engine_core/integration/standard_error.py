@@ -142,3 +142,15 @@ def box_sums(values: np.ndarray, reach: int) -> np.ndarray:
         # A difference of running sums may fall a rounding below zero.
         values = np.moveaxis(np.maximum(sums, 0, out=sums), 0, axis)
     return values
+
+
+def sums_around(a: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
+    """Sums of ``a`` and those around it along an axis, by weights."""
+    reach, n = len(weights) // 2, a.shape[axis]
+    sums = weights[reach] * a
+    for shift in range(1, min(reach, n - 1) + 1):
+        low, high = [slice(None)] * a.ndim, [slice(None)] * a.ndim
+        low[axis], high[axis] = slice(None, -shift), slice(shift, None)
+        sums[tuple(low)] += weights[reach + shift] * a[tuple(high)]
+        sums[tuple(high)] += weights[reach - shift] * a[tuple(low)]
+    return sums

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many points of a net each tile of a picture follows.
+
+Points of their own say where many are of use, so that those of the nets stay free of what they show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .integration.integrand import StagedIntegrand, values_at
+from .integration.mapping import Map
+from .integration.point_sets import SobolPoints
+from .integration.standard_error import sums_around
+from .transport.camera_hits import Pixels
+
+MOST_OFTEN = 2
+"""Binary logarithm of how many times as many points a tile has as the mean at most, or as few at least."""
+
+FEWEST = 4, 8
+"""Points of a tile at least, powers of two: half of the mean, but within these."""
+
+GROWTH = 0.5
+"""Points of a tile go as its deviation to this power. Variances of nets fall as points to the power 1.5, so
+.8 has the least error; but the eye sees what the dark is wrong by in proportion."""
+
+PILOTS, PILOT_POINTS = 2, 64
+"""Along a tile's edge, places that tell its deviation; and points of each, a power of four."""
+
+BATCH = 1 << 15
+"""Points evaluated at once, about."""
+
+ERROR = 0.1
+"""What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
+N^1.5."""
+
+HIDDEN = 0.4
+"""Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
+seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
+
+
+def roughness_of_tiles(
+    integrand: StagedIntegrand,
+    pixels_at: Callable[[np.ndarray, np.ndarray], Pixels],
+    shape: tuple[int, int],
+    edge: int,
+    seed: int,
+    map_: Map,
+    check: Callable[[], None],
+) -> np.ndarray:
+    """(rows, columns) float64: mean square of what the integrand, its channels summed, differs by between
+    neighbours of a net, of a few places in each tile and in those around.
+
+    pixels_at : columns and rows (B,) of the picture -> its pixels. shape : its rows and columns.
+    edge : of a tile, in pixels. map_ : runs a function over items on the workers. check : called before every
+        batch; may raise.
+    """
+    rows, columns = (-(-n // edge) for n in shape)
+    step = edge // PILOTS
+    y, x = (
+        np.minimum(np.arange(n * PILOTS) * step + step // 2, end - 1)
+        for n, end in zip((rows, columns), shape, strict=True)
+    )
+    points = SobolPoints(range(integrand.rest_dimensions), seed, 106)
+    points.prepare(PILOT_POINTS)
+    pixels = pixels_at(*(a.ravel() for a in np.meshgrid(x, y)))
+    size = max(1, BATCH // PILOT_POINTS)
+
+    def roughness(low: int) -> np.ndarray:
+        check()
+        some = pixels[low : low + size]
+        net = points.points(some.key(), 0, PILOT_POINTS)
+        middle = np.full((2, len(some), 1), 0.5, np.float32)
+        stage = integrand.first(some, middle)
+        f = values_at(integrand, stage, len(some), None, net.reshape(len(net), -1))[:3]
+        return _roughness(f.reshape(3, len(some), -1), net)
+
+    found = np.concatenate(map_(roughness, range(0, len(pixels), size)))
+    found = found.reshape(rows, PILOTS, columns, PILOTS).mean(axis=(1, 3))
+    # What few pilots missed, those around may tell.
+    weights = np.array([1.0, 2.0, 1.0])
+    for axis in range(2):
+        found = sums_around(found, axis, weights) / sums_around(np.ones_like(found), axis, weights)
+    return found
+
+
+def enough_points(rough: np.ndarray, noise: float, fewest: int, most: int) -> int:
+    """A power of two from ``fewest`` to ``most``: points in the mean, so that the ``noise`` of a pixel's
+    channel beside hides that they are no more. rough : of `roughness_of_tiles`.
+    """
+    # Channels are summed in that.
+    least = (ERROR / 9 * rough.mean() / (HIDDEN * noise) ** 2) ** (2 / 3)
+    return 1 << int(np.ceil(np.log2(np.clip(least, fewest, most))))
+
+
+def points_of_tiles(rough: np.ndarray, mean: int) -> np.ndarray:
+    """(rows, columns) int, powers of two: points of each tile, about ``mean`` of these. rough : of
+    `roughness_of_tiles`.
+    """
+    return _shared(rough ** (GROWTH / 2), mean, int(np.clip(mean // 2, *FEWEST)))
+
+
+def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
+    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2.
+
+    That counts the edges of shadows in the net's square, by their length and height, as its error does.
+    """
+    dimensions, places, count = net.shape
+    if dimensions == 0:
+        return np.zeros(places)
+    edge = round(count ** (1 / min(dimensions, 2)))
+    # One point in each cell.
+    cell = np.zeros((places, count), np.intp)
+    for u in net[:2]:
+        cell = cell * edge + (u * edge).astype(np.intp)
+    grid = np.take_along_axis(f.sum(axis=0, dtype=np.float64), np.argsort(cell, axis=1), axis=1)
+    grid = grid.reshape(places, *[edge] * min(dimensions, 2))
+    axes = range(1, grid.ndim)
+    return sum(np.square(np.diff(grid, axis=axis)).mean(axis=tuple(axes)) for axis in axes)
+
+
+def _shared(wanted: np.ndarray, mean: int, fewest: int) -> np.ndarray:
+    """``mean`` times powers of two, nearly in proportion to ``wanted`` (rows, columns): on average
+    about ``mean``, ``fewest`` at least.
+    """
+    if not wanted.any():
+        # Black, as far as is seen.
+        return np.full(wanted.shape, min(mean, fewest))
+    least = max(-MOST_OFTEN, int(np.log2(fewest / mean))) if mean > fewest else 0
+    with np.errstate(divide="ignore"):
+        level = np.log2(wanted / wanted.mean())
+    # The more, the higher the scale: the highest that does not take more in the mean.
+    scales = np.linspace(-MOST_OFTEN - 1, MOST_OFTEN + 1, 97)
+    levels = np.clip(np.rint(level + scales[:, None, None]), least, MOST_OFTEN)
+    means = np.exp2(levels).mean(axis=(1, 2))
+    chosen = levels[np.abs(means - 1).argmin()]
+    return (mean * np.exp2(chosen)).astype(int)

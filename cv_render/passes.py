@@ -54,21 +54,24 @@ def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
             engine.register_pass(scene, view_layer, *render_pass)
 
 
-def clamp(film: Film) -> None:
-    """Noise about nothing may be below it, which nodes for compositing take badly. Of a picture that is done:
-    one that is not goes on from what it has.
+def write(
+    engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: int, y1: int, done: bool = False
+) -> None:
+    """Pixels [y0:y1, x0:x1] of the film into Blender's result of a layer; row 0 is the bottom in both.
+
+    done : nothing is added to the film any more.
     """
-    np.maximum(film.combined, 0, out=film.combined)
-
-
-def write(engine: Any, layer: str, view: str, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
-    """Pixels [y0:y1, x0:x1] of the film into Blender's result of a layer; row 0 is the bottom in both."""
     result = engine.begin_result(x0, y0, x1 - x0, y1 - y0, layer=layer, view=view)
     try:
-        for render_pass in result.layers[0].passes:
+        # Others may show the same array.
+        for render_pass in sorted(result.layers[0].passes, key=lambda a: a.name == COMBINED[0]):
             attribute = ARRAYS.get(render_pass.name)
             if attribute is not None:
                 pixels = np.ascontiguousarray(getattr(film, attribute)[y0:y1, x0:x1], np.float32)
+                if render_pass.name == COMBINED[0]:
+                    # Noise about nothing may be below it, which nodes for compositing take badly. New memory
+                    # is dear, so in place if that harms no sample to come.
+                    pixels = np.maximum(pixels, 0, out=pixels if done else None)
                 render_pass.rect.foreach_set(pixels.ravel())
     finally:
         engine.end_result(result)

@@ -73,8 +73,7 @@ def _render_view(engine: Any, depsgraph: Any, messages: Messages) -> Film:
     finally:
         sink.end()
     x0, y0, x1, y1 = scene.camera.region
-    passes.clamp(film)
-    sink.write(film, 0, 0, x1 - x0, y1 - y0)
+    sink.write(film, 0, 0, x1 - x0, y1 - y0, done=True)
     if bpy.app.debug:
         seconds = {"seconds export": exported - begin, "seconds in all": time.perf_counter() - begin}
         _print_statistics(depsgraph.view_layer_eval.name, film.statistics | seconds)
@@ -112,8 +111,8 @@ class BlenderSink(Sink):
         if self.watched:
             self.write(film, x0, y0, x1, y1)
 
-    def write(self, film: Film, x0: int, y0: int, x1: int, y1: int) -> None:
-        passes.write(self._engine, self._layer, self._engine.active_view_get(), film, x0, y0, x1, y1)
+    def write(self, film: Film, x0: int, y0: int, x1: int, y1: int, done: bool = False) -> None:
+        passes.write(self._engine, self._layer, self._engine.active_view_get(), film, x0, y0, x1, y1, done)
 
     def progress(self, fraction: float, elapsed: float, remaining: float | None, text: str) -> None:
         text = text if remaining is None else f"Remaining: {_clock(remaining)} | {text}"

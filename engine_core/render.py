@@ -200,6 +200,8 @@ class _Render:
             self._sink.tile(self._film, 0, 0, *self._camera.region_size)
 
     def _compose(self) -> None:
+        if len(self._film.layers) == 1:
+            return
         width, height = self._camera.region_size
         self._workers.map(lambda low: self._film.compose(0, low, width, low + ROWS), range(0, height, ROWS))
 

@@ -185,6 +185,7 @@ class ScreenPicture:
         self._built = self._tree is not None
         grown = perf_counter()
         self._integrate(map_, met)
+        map_(self._keep_variate, self._rows())
         self.seconds = {"nodes": grown - began, "means": perf_counter() - grown}
 
     def _pixels(self, index: np.ndarray) -> Pixels:
@@ -486,8 +487,8 @@ class ScreenPicture:
         """Add the residual to the polynomials of all pixels, once."""
 
         def rows(some: slice) -> None:
-            if self._settings.terms:
-                self._layer.control_variate[some] = self._mean[some]
+            # Where f itself was sampled there is none any more.
+            self._keep_variate(some)
             # The picture may have one channel more, and rows of three are slow.
             for c in range(CHANNELS):
                 radiance = self._mean[some][..., c]
@@ -495,6 +496,10 @@ class ScreenPicture:
                 np.clip(radiance, -LARGEST, LARGEST, out=radiance)
 
         map_(rows, self._rows())
+
+    def _keep_variate(self, rows: slice) -> None:
+        if self._settings.terms:
+            self._layer.control_variate[rows] = self._mean[rows]
 
     def _rows(self) -> list[slice]:
         """Of the picture, whole blocks at once."""

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from itertools import repeat
 from threading import Event
 from typing import Any
 
@@ -91,7 +90,12 @@ class Workers:
 
     def map(self, function: Callable, items: Iterable) -> list:
         """Run a function over items; results in their order."""
-        return list(self._pool.map(_quietly, repeat(function), items))
+        pending = [self._pool.submit(_quietly, function, item) for item in items]
+        try:
+            return [future.result() for future in pending]
+        finally:
+            # Nothing may still be written when whoever asked goes on.
+            wait([future for future in pending if not future.cancel()])
 
     def drive(self, build: Callable, text: str) -> tuple[Future, str | None]:
         """Run ``build(map_, enough)``, which uses the threads; its future, and why it was stopped if it was.

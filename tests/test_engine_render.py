@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from threading import get_ident
+from threading import Event, get_ident
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from scenes import area_light, blocks, mixed_lights, studio
 
 from engine_core import Film, RenderError, Scene, Settings, Sink, World, render
 from engine_core.geometry.surfaces import Surfaces
+from engine_core.workers import Nobody, Workers
 
 
 class Recorder(Sink):
@@ -222,3 +223,20 @@ def test_many_lights_cost_no_more_shadow_rays():
     few, many = (film.statistics["shadow rays"] for film in films)
     assert films[1].statistics["lights"] == 200
     assert many <= 48 * 32 * 4 and few <= 48 * 32 * 4
+
+
+def test_nothing_is_written_any_more_when_a_failed_map_ends() -> None:
+    workers, running, done = Workers(Nobody(), 0.0, 2), Event(), []
+
+    def work(number: int) -> None:
+        if number == 0:
+            running.wait()
+            raise ValueError
+        running.set()
+        time.sleep(0.2)
+        done.append(number)
+
+    with pytest.raises(ValueError):
+        workers.map(work, [0, 1])
+    assert done == [1]
+    workers.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from threading import Event
 from types import ModuleType
 from typing import Any
 
@@ -192,12 +193,19 @@ def test_threads_follow_blenders_own_setting(cv: ModuleType, scene: Any) -> None
 def test_cancelling_keeps_what_is_there(
     cv: ModuleType, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    polls = []
+    polls, begun = [], Event()
+    tree = cv.engine_core.integration.regions.RegionTree
+    sweep = tree.sweep
+
+    def begin(*arguments: Any) -> int:
+        begun.set()  # before that nothing is there
+        return sweep(*arguments)
 
     def cancelled(sink: Any) -> bool:
-        polls.append(sink)
+        polls.extend([sink] * begun.is_set())
         return len(polls) > 3
 
+    monkeypatch.setattr(tree, "sweep", begin)
     monkeypatch.setattr(cv.cv_render.session.BlenderSink, "cancelled", cancelled)
     scene.cv_render.samples = 1 << 20
     picture = render(scene, tmp_path)

@@ -41,7 +41,7 @@ class Settings:
     transparent : the background has alpha 0 and no radiance.
     depth : fill `Film.depth`, even if nothing in sight reflects and rays are traced for it alone.
     normals : fill `Film.normal` too. standard_error : fill `Film.standard_error` too. terms : fill
-        `Film.control_variate` and `Film.residual` too, which takes a tenth of a short render.
+        `Film.control_variate` and `Film.residual` too.
     tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
         picture's size.
     batch_size : samples traced together; a batch should fit the processor's cache.

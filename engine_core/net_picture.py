@@ -28,7 +28,7 @@ from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
 from .integration.standard_error import sums_around
 from .parts import OverNet, Region, cell_of
-from .points_of_tiles import enough_points, points_of_tiles, roughness_of_tiles
+from .points_of_tiles import BATCH, enough_points, points_of_tiles, roughness_of_tiles
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -76,9 +76,6 @@ AROUND = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
-
-BATCH = 1 << 15
-"""Points evaluated at once, about."""
 
 
 class NetPicture:

@@ -21,6 +21,7 @@ from engine_core import (
     Settings,
     SpotLight,
     SunLight,
+    Volume,
     World,
     render,
 )
@@ -502,3 +503,13 @@ class _WildVector(Value):
         with np.errstate(all="ignore"):
             vector = np.sin(points.position * 1e3) + value_at(NORMAL, points)
             return (vector / np.abs(vector).max(axis=0)).astype(np.float32)
+
+
+def clouds(camera: Camera, radius: float, *lights) -> Scene:
+    """Twelve balls of fog before and above one another."""
+    random = np.random.default_rng(4)
+    balls = [
+        sphere(at, radius, volume=0, surface=False)
+        for at in random.uniform((-2.5, -1.0, -0.5), (2.5, 3.0, 2.5), (12, 3))
+    ]
+    return Scene(camera, (box(), *balls), [Material(0.0)] * 13, lights, volumes=[Volume(scattering=2.0)])

@@ -59,6 +59,8 @@ class SobolPoints:
         self._dimensions = tuple(d for d in dimensions if d < MAX_DIMENSIONS)
         self._random = RandomPoints(len(dimensions) - len(self._dimensions), seed, group + 1000, dtype)
         self._dtype = dtype
+        # Of its 32 bits, what a float of 23 holds.
+        self._bits = 32 if dtype == np.float64 else 23
         self._shuffled = shuffled
         self._seeds = [int(hash_combine(seed, group, d)[0]) for d in range(len(self._dimensions) + 1)]
         self._nets = np.empty((len(self._dimensions), SCRAMBLINGS, 0), np.uint32)
@@ -72,7 +74,7 @@ class SobolPoints:
         self._nets = np.empty((len(self._dimensions), SCRAMBLINGS, len(index)), np.uint32)
         for nets, d, seed in zip(self._nets, self._dimensions, self._seeds, strict=False):
             seeds = hash_combine(seed, np.arange(SCRAMBLINGS))
-            nets[:] = owen_scramble(sobol(index, d), seeds[:, None])
+            nets[:] = owen_scramble(sobol(index, d), seeds[:, None], self._bits)
 
     def points(self, keys: np.ndarray, start: int, count: int) -> np.ndarray:
         others = self._random.points(keys, start, count)

@@ -47,10 +47,15 @@ def direction_numbers(dimension: int) -> np.ndarray:
     return np.array([value << (BITS - 1 - i) for i, value in enumerate(m)], np.uint64).astype(np.uint32)
 
 
+AT_ONCE = 1 << 15
+"""Coins tossed at once, about."""
+
+
 def sobol(index: np.ndarray, dimension: int) -> np.ndarray:
     """Coordinate ``dimension`` of the Sobol points ``index`` (uint32, any shape), as 32-bit fractions."""
     x = np.zeros_like(index)
-    for bit, number in enumerate(direction_numbers(dimension)):
+    numbers = direction_numbers(dimension)[: int(index.max(initial=0)).bit_length()]
+    for bit, number in enumerate(numbers):
         x ^= ((index >> np.uint32(bit)) & np.uint32(1)) * number
     return x
 
@@ -74,20 +79,31 @@ def hash_combine(*values: int | np.ndarray) -> np.ndarray:
     return state
 
 
-def owen_scramble(x: np.ndarray, seed: int | np.ndarray) -> np.ndarray:
+def owen_scramble(x: np.ndarray, seed: int | np.ndarray, bits: int = BITS) -> np.ndarray:
     """Nested uniform scrambling of 32-bit fractions: every bit is flipped by a coin of its higher bits.
 
     A (t, m, s)-net stays one, each point becomes uniform. Applied to an index it permutes a sequence
     so that aligned blocks of 2^k points stay blocks of 2^k points.
     seed : of S scramblings (S, 1) for x (N,), which gives (S, N); a plain number gives (N,).
+    bits : the highest, which are scrambled; whoever drops the others need not have them.
     """
-    coins = hash_combine(np.asarray(seed)[..., None], np.arange(BITS))
+    seeds = np.atleast_1d(seed)
+    coins = np.moveaxis(hash_combine(seeds[..., None], np.arange(bits)), -1, 0)
     flips = np.zeros(np.broadcast_shapes(x.shape, np.shape(seed)), np.uint32)
-    for bit in range(BITS):
-        prefix = x >> np.uint32(BITS - bit) if bit else np.zeros_like(x)
-        of_bit = coins[..., bit]
-        coin = mix(mix(prefix ^ of_bit) + of_bit) >> np.uint32(31)
-        flips |= coin << np.uint32(BITS - 1 - bit)
+    half = x >> np.uint32(1)
+    # Of a short net all bits at once; of a long one, each of its few first prefixes is tossed for once.
+    step = max(1, AT_ONCE // max(flips.size, 1))
+    for low in range(0, bits, step):
+        of_bit = coins[low : low + step]
+        after = np.arange(BITS - 1 - low, BITS - 1 - low - len(of_bit), -1, dtype=np.uint32)
+        after = after.reshape(-1, *[1] * seeds.ndim)
+        few = step == 1 and 1 << low < x.size
+        tossed = np.arange(1 << low, dtype=np.uint32) if few else half >> after
+        coin = mix(mix(tossed ^ of_bit) + of_bit)
+        coin >>= np.uint32(31)
+        coin <<= after
+        coin = np.bitwise_or.reduce(coin, axis=0)
+        flips |= coin.take(half >> after[0, 0], axis=-1) if few else coin
     return x ^ flips
 
 

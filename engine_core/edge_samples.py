@@ -14,6 +14,7 @@ import numpy as np
 from .directly_seen import contrast_beside
 from .image.film import LARGEST, Film
 from .integration.allocation import sample_counts
+from .integration.mapping import even_parts
 from .integration.point_sets import PointSet
 from .integration.sample_mean import sum_samples
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
@@ -57,8 +58,8 @@ class EdgeSamples:
         self.work: list[tuple[int, np.ndarray]] = []
         for many in np.unique(times[times > 1])[::-1]:
             rows = np.flatnonzero(times == many)
-            step = max(1, batch // (have * int(many)))
-            self.work += [(int(many), rows[low : low + step]) for low in range(0, len(rows), step)]
+            most = max(1, batch // (have * int(many)))
+            self.work += [(int(many), rows[part]) for part in even_parts(len(rows), most)]
         self.samples = sum((many - 1) * len(rows) for many, rows in self.work) * have
         for group in points:
             group.prepare(have * int(times.max()))

@@ -10,7 +10,7 @@ import numpy as np
 
 from .image.film import LARGEST, Layer
 from .integration.integrand import StagedIntegrand
-from .integration.mapping import Map
+from .integration.mapping import Map, even_parts
 from .integration.point_sets import SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
@@ -135,8 +135,8 @@ class AroundLightsPicture:
 
         pieces = []
         for term in self._terms:
-            step = max(1, self._settings.batch_size // term.first)
-            pieces += [(term, slice(low, low + step)) for low in range(0, len(term.count), step)]
+            most = max(1, self._settings.batch_size // term.first)
+            pieces += [(term, part) for part in even_parts(len(term.count), most)]
         map_(begin, pieces)
         for term in self._terms:
             term.spread = np.sqrt(_of_neighbours(term.block, term.spread))
@@ -157,11 +157,9 @@ class AroundLightsPicture:
             log = np.rint(np.log2(np.clip(wanted, min(least, MOST_SAMPLES), MOST_SAMPLES))).astype(int)
             for n in 1 << np.unique(log):
                 rows = np.flatnonzero(1 << log == n)
-                step = max(1, self._settings.batch_size // int(n))
+                most = max(1, self._settings.batch_size // int(n))
                 if n > 2 * term.first:
-                    self._work += [
-                        (int(n), term, rows[low : low + step]) for low in range(0, len(rows), step)
-                    ]
+                    self._work += [(int(n), term, rows[part]) for part in even_parts(len(rows), most)]
         self._prepare(max((n for n, _, _ in self._work), default=0))
         # The largest first, so that no thread ends up with it alone.
         self._work.sort(key=lambda work: -work[0] * len(work[2]))

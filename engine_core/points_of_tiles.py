@@ -29,7 +29,7 @@ GROWTH = 0.5
 PILOTS, PILOT_POINTS = 2, 64
 """Along a tile's edge, places that tell its deviation; and points of each, a power of four."""
 
-BATCH = 1 << 15
+BATCH = 1 << 16
 """Points evaluated at once, about."""
 
 ERROR = 0.1

@@ -237,7 +237,7 @@ class ControlVariatePicture:
             defensive = max(DEFENSIVE, DEFENSIVE_OF_F * (1 - 1 / settings.samples))
             # A net's error falls faster than by the root of its points.
             in_proportion = error**OF_F
-        due, _ = sample_counts(in_proportion.ravel(), budget / (1 + twice.mean()), defensive, FREE)
+        due, _ = sample_counts(in_proportion.ravel(), budget / (1 + twice.mean()), defensive, FREE, map_)
         self._due = due = np.minimum(due, MOST).reshape(bins)
         if settings.noise_threshold:
             brightness = np.sqrt(np.maximum(self._film.combined[..., :CHANNELS].mean(axis=-1).T, 0))

@@ -18,7 +18,7 @@ from .image.film import LARGEST, Layer
 from .integration.allocation import drawn, evenly_spread, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.integrand import values_at
-from .integration.mapping import Map
+from .integration.mapping import Map, even_parts
 from .integration.point_sets import staged_points
 from .integration.regions import BIN, Regions, RegionTree, neighbourly
 from .integration.rules import bin_means, face_weights, lagrange, weighted
@@ -236,8 +236,8 @@ class ScreenPicture:
             # Means over pixels, of the nodes' polynomials.
             weights = np.einsum("xi,yj->yxij", *(bin_means(n) for n in edge)).reshape(-1, 9)
             each[edge] = weights.astype(np.float32)
-            chosen, step = np.flatnonzero(code == kind), max(1, PIXELS_AT_ONCE // len(weights))
-            pieces += [(edge, chosen[low : low + step]) for low in range(0, len(chosen), step)]
+            chosen, most = np.flatnonzero(code == kind), max(1, PIXELS_AT_ONCE // len(weights))
+            pieces += [(edge, chosen[part]) for part in even_parts(len(chosen), most)]
 
         def means(piece: tuple[tuple[int, int], np.ndarray]) -> None:
             edge, chosen = piece
@@ -426,8 +426,9 @@ class ScreenPicture:
         return deviation
 
     def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
-        step = max(1, self._settings.batch_size // (n * PIECES))
-        return [rows[low : low + step] for low in range(0, len(rows), step)]
+        return [
+            rows[part] for part in even_parts(len(rows), max(1, self._settings.batch_size // (n * PIECES)))
+        ]
 
     def __len__(self) -> int:
         """How many pieces of work there are."""

@@ -64,7 +64,7 @@ class Settings:
     standard_error: bool = False
     terms: bool = True
     tile_size: int = 0
-    batch_size: int = 32768
+    batch_size: int = 1 << 16
 
     def __post_init__(self) -> None:
         if self.integrator not in INTEGRATORS:

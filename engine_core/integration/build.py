@@ -10,7 +10,7 @@ import numpy as np
 
 from .inner_rules import InnerRule, Nodes
 from .integrand import StagedIntegrand, values_at
-from .mapping import Map
+from .mapping import Map, even_parts
 from .regions import BIN, NODE_KEYS, WHOLE, RegionTree, root_edges
 from .rules import face_weights, weighted
 from .sobol import hash_combine
@@ -32,8 +32,9 @@ the variance, but they are left to the samples' allocation."""
 FEWEST_REGIONS = 64
 """Below which nothing is given up before the budget is spent, since little is known."""
 
-BATCH = 16384
-"""Evaluations at once, about: what fits the cache."""
+BATCH = 1 << 15
+"""Evaluations at once, about. Of fewer, threads spend their time on waiting for one another; more leave the
+cache."""
 
 
 class NodeEvaluator:
@@ -79,8 +80,8 @@ class NodeEvaluator:
             )
             order = np.argsort(key, kind="stable")
         batch = self._inner.batch if self._inner else BATCH
-        step, count = max(1, batch // self.cost), place.shape[1]
-        parts = [slice(low, low + step) for low in range(0, count, step)]
+        count = place.shape[1]
+        parts = even_parts(count, max(1, batch // self.cost))
 
         def evaluate(part: slice) -> tuple[np.ndarray, np.ndarray | None, int]:
             return self._evaluate(place[:, part] if order is None else place.take(order[part], axis=1))

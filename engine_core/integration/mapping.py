@@ -12,3 +12,16 @@ Map = Callable[[Callable, Iterable], list]
 def in_order(function: Callable, items: Iterable) -> list:
     """Here, one after the other."""
     return [function(item) for item in items]
+
+
+AT_LEAST = 4
+"""Parts of what is not much, so that all workers have some."""
+
+
+def even_parts(count: int, most: int) -> list[slice]:
+    """``count`` items in parts of equal size, of ``most`` at most, and none much smaller if it can be helped.
+
+    Threads that share the work wait for one another whenever arrays are short.
+    """
+    number = max(-(-count // most), min(AT_LEAST, AT_LEAST * count // most), min(count, 1))
+    return [slice(count * i // number, count * (i + 1) // number) for i in range(number)]

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..integration.integrand import StagedIntegrand, values_at
-from ..integration.mapping import Map, in_order
+from ..integration.mapping import Map, even_parts, in_order
 from ..integration.point_sets import SobolPoints
 from .camera_hits import Pixels
 
@@ -44,7 +44,7 @@ PILOTS = 2
 POINTS = 64, 1024
 """Of a pilot at least and at most, powers of two."""
 
-BATCH = 1 << 14
+BATCH = 1 << 15
 """Points that a worker takes at once."""
 
 EVERYWHERE = 0.2
@@ -119,8 +119,7 @@ class Guide:
 
         def found(number: int, start: int, end: int) -> np.ndarray:
             """Sums (2, rows, columns, CELLS, ...) of f^2 and of f^4."""
-            step = max(1, BATCH // (end - start))
-            parts = [slice(low, low + step) for low in range(0, len(some), step)]
+            parts = even_parts(len(some), max(1, BATCH // (end - start)))
             cell, square = map(
                 np.concatenate, zip(*map_(look, [(number, part, start, end) for part in parts]), strict=True)
             )

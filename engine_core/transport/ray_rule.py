@@ -62,10 +62,10 @@ _PEAK = 0.6
 _INSET = 1e-3
 """Part of a lane, at both ends, in which a light is seen as it is next to it: no surface shadows itself."""
 
-_BATCH = 1 << 16
+_BATCH = 1 << 17
 """Shadow rays at once, about."""
 
-_LANES = 1 << 14
+_LANES = 1 << 16
 """Lanes at once, about, of rays that need all of theirs."""
 
 _GOLDEN = (5**0.5 - 1) / 2
@@ -395,7 +395,7 @@ class NextToLight(PointsOfRay):
 class AlongRay(InnerRule):
     """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
 
-    batch = 1 << 15  # many short calls for a ray
+    batch = 1 << 16  # many short calls for a ray
 
     def __init__(self, cost: int) -> None:
         """cost : of a node, in evaluations."""

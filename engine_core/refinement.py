@@ -158,21 +158,21 @@ class ControlVariatePicture:
 
     def _see(self, reflected: float, map_: Map) -> None:
         """What camera rays see by themselves is integrated apart from what is ``reflected``, in the mean."""
-        self._first, self._first_error = np.zeros((2, CHANNELS, *self._bins))
+        # Read alone, and of one number where nothing is seen.
+        self._first = self._first_error = np.broadcast_to(np.float32(0), (CHANNELS, *self._bins))
         if self._direct_light.sees:
             eye = DirectLightOverTile(self._direct_light, None, self._check)
             eye.counts = self.integrand.counts
             (x, y), (width, height) = self._corner, self._bins
             region = x, y, x + width, y + height
-            self._first, self._first_error = directly_seen(
-                eye, self._direct_light.stage, region, self._settings, map_, reflected
-            )
+            seen = directly_seen(eye, self._direct_light.stage, region, self._settings, map_, reflected)
+            self._first, self._first_error = np.clip(seen, -LARGEST, LARGEST).astype(np.float32)
 
     def _show(self, tree: RegionTree, log_edge: int, map_: Map) -> None:
         """Integrate the polynomials, and write their means into the film."""
         self._variate = self._variate_of(tree, log_edge, map_)
-        self._mean = np.zeros((CHANNELS, *self._bins))
-        self._error = np.zeros(self._bins)
+        self._mean = np.zeros((CHANNELS, *self._bins), np.float32)
+        self._error = np.zeros(self._bins, np.float32)
         self._plain = np.zeros(self._bins, bool)
         map_(self._integrate, range(len(self._variate)))
         self._film.combined[..., ALPHA] = 1
@@ -190,8 +190,8 @@ class ControlVariatePicture:
         self._check()
         tile, (x, y) = self._variate.tile(number), self._part(number)
         mean, error, unexplained = tile.means(self._variate.spread)
-        self._mean[:, x, y] = mean.reshape(CHANNELS, *tile.shape)
-        self._error[x, y] = error.reshape(tile.shape)
+        self._mean[:, x, y] = np.clip(mean, -LARGEST, LARGEST).reshape(CHANNELS, *tile.shape)
+        self._error[x, y] = np.minimum(error, LARGEST).reshape(tile.shape)
         self._plain[x, y] = unexplained.reshape(tile.shape) > BEYOND_HOPE
         self._write(x, y, self._first[:, x, y] + self._mean[:, x, y])
         if self._settings.terms:
@@ -212,7 +212,7 @@ class ControlVariatePicture:
             group.prepare(1)
         self._sampler = ResidualSampler(self._points, self.covered, batch=settings.batch_size)
         self._spread = Spread.empty(CHANNELS, self._error.size) if settings.standard_error else None
-        self._residual = np.zeros((CHANNELS, self._error.size))
+        self._residual = np.zeros((CHANNELS, self._error.size), np.float32)
         self._have = np.ones(bins, np.int64)
         square = np.zeros(bins)
 
@@ -224,7 +224,7 @@ class ControlVariatePicture:
             mean, residual = (a.reshape(self._mean.shape)[:, x, y] for a in (self._mean, self._residual))
             approximate = np.where(self._plain[part], mean, 0)
             mean -= approximate
-            square[part] = np.square(np.abs(residual - approximate).sum(axis=0))
+            square[part] = np.square(np.abs(residual - approximate).sum(axis=0), dtype=np.float64)
 
         map_(sample_pilot, range(len(self)))
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
@@ -248,7 +248,7 @@ class ControlVariatePicture:
             self._due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
         self.deviation_a_sample = float(error.sum(dtype=np.float64) / max(self._due.sum(), error.size))
         # Nets' errors fall faster than by the root of their points.
-        expected = error / np.maximum(self._due, 1) ** 0.75
+        expected = error / np.maximum(self._due, 1).astype(np.float32) ** np.float32(0.75)
         self.noise = float(expected.mean(dtype=np.float64)) / CHANNELS
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         for group in self._points:
@@ -345,7 +345,7 @@ class ControlVariatePicture:
             have,
             (of_tile(self._residual).reshape(CHANNELS, -1), spread),
         )
-        of_tile(self._residual)[:] = mean.reshape(CHANNELS, *tile.shape)
+        of_tile(self._residual)[:] = np.clip(mean, -LARGEST, LARGEST).reshape(CHANNELS, *tile.shape)
         if of_picture is not None:
             for old, now in ((of_picture.half, spread.half), (of_picture.twice, spread.twice)):
                 of_tile(old)[:] = now.reshape(CHANNELS, *tile.shape)

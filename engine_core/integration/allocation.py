@@ -34,33 +34,44 @@ _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 def learned_deviation(
     square: np.ndarray, pilot: np.ndarray, predicted: np.ndarray, map_: Map = in_order
 ) -> np.ndarray:
-    """(*bins) deviation of a sample: what the nodes predicted, as right as it was in the neighbourhood.
+    """(*bins) float32 deviation of a sample: what the nodes predicted, as right as it was around.
 
     square : (*bins) f - h squared of a sample in each bin of a pilot. pilot : (*bins) bool, which those are.
     predicted : (*bins) the nodes' deviation. A bin's own sample has no say, so that it may be kept.
     map_ : runs a function over items on workers.
     """
-    variance = np.square(predicted)
-    variance += 1e-4 * variance.mean() + 1e-300
-    found, said = np.where(pilot, square, 0), np.where(pilot, variance, 0)
-    all_found, all_said, margin = found.sum(), said.sum(), NEIGHBOURHOODS[0][0]
-    out = np.empty(variance.shape)
+    strips, margin = range(0, len(predicted), STRIP), NEIGHBOURHOODS[0][0]
+    out = np.empty(predicted.shape, np.float32)
+
+    def squares(low: int) -> float:
+        return float(np.square(predicted[low : low + STRIP], dtype=np.float64).sum())
+
+    least = 1e-4 * sum(map_(squares, strips)) / max(predicted.size, 1) + 1e-300
+
+    def known(strip: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Of a strip, the variance that nodes predict; which are pilots, their squares, and that there."""
+        variance = np.square(predicted[strip], dtype=np.float64) + least
+        values = np.stack([pilot[strip], square[strip], variance])
+        values[1:] *= values[0]
+        return variance, values
+
+    of_strips = map_(lambda low: [a.sum() for a in known(slice(low, low + STRIP))[1]], strips)
+    pilots, all_found, all_said = np.sum(of_strips, axis=0)
 
     def learn(low: int) -> None:
         """Of a strip, which the cache holds, by what lies around it."""
         first, last = max(0, low - margin), low + STRIP + margin
-        pilot_, found_, said_, variance_ = (a[first:last] for a in (pilot, found, said, variance))
-        values = np.stack([pilot_, found_, said_])
-        ratio, mean = all_found / max(all_said, 1e-300), all_found / max(pilot.sum(), 1)
+        variance, values = known(slice(first, last))
+        ratio, mean = all_found / max(all_said, 1e-300), all_found / max(pilots, 1)
         for reach, faith in NEIGHBOURHOODS:
             count, seen, hoped = np.maximum(box_sums(values, reach) - values, 0)
-            prior = faith * np.where(count > 0, hoped / np.maximum(count, 1), variance_)
+            prior = faith * np.where(count > 0, hoped / np.maximum(count, 1), variance)
             ratio = (seen + prior * ratio) / (hoped + prior)
             mean = (seen + faith * mean) / (count + faith)
         here = slice(low - first, low - first + STRIP)
-        out[low : low + STRIP] = np.sqrt(variance_ * ratio + PLACE * mean)[here]
+        out[low : low + STRIP] = np.sqrt(variance * ratio + PLACE * mean)[here]
 
-    map_(learn, range(0, len(out), STRIP))
+    map_(learn, strips)
     return out
 
 

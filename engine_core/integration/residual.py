@@ -193,7 +193,7 @@ class ResidualSampler:
             total = np.zeros((len(tile.channels), len(count)))
             spread = Spread.empty(*total.shape)
         else:
-            total, spread = before[0].copy(), before[1]
+            total, spread = np.array(before[0], np.float64), before[1]
             if spread is not None:
                 spread = Spread(spread.half.copy(), spread.twice.copy())
         means = total[None]

@@ -83,7 +83,7 @@ def standard_error(
     shape = (channels, *bins)
     twice = ~np.isnan(spread.twice[0])
     chance = np.ones(total) if chance is None else chance
-    square = np.ones(total) if predicted is None else np.square(predicted)
+    square = np.ones(total) if predicted is None else np.square(predicted, dtype=np.float64)
     square = square + 1e-6 * square.mean() + 1e-300
 
     # Bins with halves: these, pooled over neighbours in proportion to what was predicted.

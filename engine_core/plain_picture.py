@@ -63,14 +63,18 @@ class Tile:
         x, y = np.meshgrid(self._span(self.x0, self.x1, CELL), self._span(self.y0, self.y1, CELL))
         return x.ravel(), y.ravel()
 
+    def cell_count(self) -> int:
+        """How many cells it has."""
+        return len(self._span(self.x0, self.x1, CELL)) * len(self._span(self.y0, self.y1, CELL))
+
     def blocks(self) -> tuple[slice, slice]:
         """Rows and columns of its blocks in the whole frame."""
         rows, columns = self._span(self.y0, self.y1, BLOCK), self._span(self.x0, self.x1, BLOCK)
         return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
     @staticmethod
-    def _span(low: int, high: int, edge: int) -> np.ndarray:
-        return np.arange(low // edge, (high - 1) // edge + 1)
+    def _span(low: int, high: int, edge: int) -> range:
+        return range(low // edge, (high - 1) // edge + 1)
 
 
 class PlainPicture:
@@ -114,7 +118,7 @@ class PlainPicture:
         self.tiles = _tiles(camera, settings.tile_size or _tile_size(camera, threads))
         x0, y0, x1, y1 = camera.region
         self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
-        cells = sum(len(tile.cells()[0]) for tile in self.tiles)
+        cells = sum(tile.cell_count() for tile in self.tiles)
         self._keep_choices = cells * len(integrand.lights) <= _KEPT_CHOICES
         width, height = camera.region_size
         self._spread = Spread.empty(3, width * height) if settings.standard_error else None

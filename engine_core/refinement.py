@@ -243,7 +243,8 @@ class ControlVariatePicture:
             brightness = np.sqrt(np.maximum(self._film.combined[..., :CHANNELS].mean(axis=-1).T, 0))
             wanted = settings.noise_threshold * np.where(brightness > 0, brightness, np.inf)
             # The error of a net falls about as n^-3/4.
-            enough = np.ceil(np.log2(np.maximum(error / wanted, 1)) * 4 / 3).astype(np.int64)
+            over = np.divide(error, wanted, dtype=np.float64)
+            enough = np.ceil(np.log2(np.maximum(over, 1)) * 4 / 3).astype(np.int64)
             least = 1 << (min(settings.min_samples, MOST) - 1).bit_length()
             self._due = np.minimum(due, np.maximum(1 << np.minimum(enough, 30), least))
         self.deviation_a_sample = float(error.sum(dtype=np.float64) / max(self._due.sum(), error.size))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scenes import area_light, mixed_lights, studio
 
-from engine_core import Film, Scene, Settings, World, render
+from engine_core import Film, PointLight, Scene, Settings, Volume, World, render
 
 SCENES = {
     "one light": studio(lights=[area_light()]),
@@ -122,6 +122,15 @@ def test_tile_size_does_not_matter(scene, tile_size):
 def test_batch_size_does_not_matter(scene, batch_size, light_samples):
     settings = _with(light_samples=light_samples, tile_size=128)
     assert_close(render(scene, settings), render(scene, dataclasses.replace(settings, batch_size=batch_size)))
+
+
+@pytest.mark.parametrize("volumes", [(), (Volume(0.1),)])
+def test_batches_may_be_smaller_than_what_one_pixel_takes(volumes):
+    world = World(0.0, volume=0) if volumes else World(0.0)
+    lights = [PointLight(100.0, position=(0.3, -1, 1.5))]
+    scene = studio(24, 24, lights=lights, world=world, volumes=volumes)
+    settings = Settings(samples=64, threads=1)
+    assert_close(render(scene, settings), render(scene, dataclasses.replace(settings, batch_size=64)))
 
 
 @pytest.mark.parametrize("integrator", ["sobol", "monte_carlo"])

@@ -60,6 +60,24 @@ def test_power_scales_the_picture(power):
     )
 
 
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(studio(48, 48, lights=[area_light(1e-36)]), id="next to no light"),
+        pytest.param(
+            studio(
+                48, 48, lights=[area_light(100)], world=World(0.0, volume=0), volumes=[Volume(absorption=3.0)]
+            ),
+            id="next to nothing comes through",
+        ),
+    ],
+)
+def test_next_to_nothing_is_a_picture_all_the_same(scene):
+    film = render(scene, Settings(samples=4, standard_error=True))
+    assert_picture_is_sound(film)
+    assert film.combined[..., :3].max() > 0
+
+
 @pytest.mark.parametrize("radius", [1e-30, 1e-15, 1e-6])
 def test_ever_smaller_light_becomes_a_point(radius):
     def picture(r: float) -> np.ndarray:

@@ -14,6 +14,7 @@ from engine_core.integration.point_sets import PointSet, SobolPoints, staged_poi
 from engine_core.integration.sobol import (
     MAX_DIMENSIONS,
     hash_combine,
+    mix,
     owen_scramble,
     sobol,
     unit_float,
@@ -113,6 +114,20 @@ def test_owen_scrambling_keeps_blocks_of_indices():
         blocks = moved.reshape(-1, size) // size
         assert (blocks == blocks[:, :1]).all()
     assert len(np.unique(moved)) == 256
+
+
+@pytest.mark.parametrize("bits", [32, 23])
+@pytest.mark.parametrize("seeds", [7, np.arange(9)[:, None]])
+@pytest.mark.parametrize("count", [1, 3, 64, 4096, 40000])
+def test_owen_scrambling_flips_each_bit_by_a_coin_of_the_higher_ones(count, seeds, bits):
+    x = np.random.default_rng(count).integers(0, 1 << 32, count, dtype=np.uint32)
+    expected = x.astype(np.uint64) + np.zeros(np.shape(seeds), np.uint64)
+    for bit in range(bits):
+        coin = hash_combine(seeds, bit)
+        higher = (x.astype(np.uint64) >> np.uint64(32 - bit)).astype(np.uint32)
+        flip = mix(mix(higher ^ coin) + coin) >> np.uint32(31)
+        expected ^= flip.astype(np.uint64) << np.uint64(31 - bit)
+    assert np.array_equal(owen_scramble(x, seeds, bits), expected)
 
 
 def test_owen_scrambling_makes_a_point_uniform():

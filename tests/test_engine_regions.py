@@ -8,6 +8,7 @@ import pytest
 
 from engine_core.integration.allocation import evenly_spread, learned_deviation, sample_counts
 from engine_core.integration.control_variate import ControlVariate
+from engine_core.integration.mapping import even_parts
 from engine_core.integration.regions import BIN, SMALLEST, WHOLE, RegionTree, neighbourly, root_edges
 from engine_core.integration.residual import Overlaps
 from engine_core.integration.rules import SIMPSON, bin_means, gauss, lagrange
@@ -266,6 +267,40 @@ def test_a_pilot_corrects_what_the_nodes_predicted_but_has_no_say_in_its_own_bin
     # Of itself it moves the mean of the picture, of which it is one in 1,536, and that through others' eyes.
     assert abs(again[at] / found[at] - 1) < 0.01
     assert again[at[0] + 1, at[1]] > 1.5 * found[at[0] + 1, at[1]]
+
+
+@pytest.mark.parametrize("scale", [1e-44, 1e-39, 1e-30, 1.0, 1e30, 1e37])
+def test_samples_are_shared_alike_however_large_the_errors(scale):
+    random = np.random.default_rng(4)
+    error = random.uniform(2, 30, (40, 30)).astype(np.float32)
+    scaled = (error.astype(np.float64) * scale).astype(np.float32)
+    bins, pilot = np.ones(error.shape), np.ones(error.shape, bool)
+    found = learned_deviation(np.square(scaled, dtype=np.float64), pilot, scaled)
+    assert np.isfinite(found).all() and found.max() > 0
+    for of_error in (scaled, found):
+        count, chance = sample_counts(of_error.ravel(), 5.0 * bins.size, 0.1, 0.1)
+        assert 0.8 * 5 * bins.size < (count * chance).sum() <= 5 * bins.size
+
+
+def test_what_is_not_in_a_pilot_has_no_say_and_no_bins_have_none():
+    random = np.random.default_rng(5)
+    predicted, pilot = random.uniform(1, 2, (20, 16)), evenly_spread((20, 16), 4, 0)
+    square = np.where(pilot, np.square(predicted), np.nan)
+    expected = learned_deviation(np.where(pilot, square, 0), pilot, predicted)
+    assert np.array_equal(learned_deviation(square, pilot, predicted), expected)
+    assert learned_deviation(np.zeros((0, 3)), np.zeros((0, 3), bool), np.zeros((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 4, 7, 100])
+def test_even_parts_are_whole_and_even(most):
+    assert even_parts(0, most) == []
+    for count in range(1, 60):
+        parts = even_parts(count, most)
+        size = [part.stop - part.start for part in parts]
+        assert np.array_equal(np.concatenate([np.arange(count)[part] for part in parts]), np.arange(count))
+        assert min(size) > 0 and max(size) <= min(most, min(size) + 1)
+        # No more than it takes, but for a few.
+        assert len(parts) <= max(-(-count // most), 4)
 
 
 @pytest.mark.parametrize("bins", [(64,), (128, 96), (24, 20, 16)])

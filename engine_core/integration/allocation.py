@@ -28,6 +28,9 @@ PART = 1 << 16
 _OCTAVE, _LEAST = 64, -100
 """Steps an octave in which the scale of a budget is sought, and the binary logarithm of the least share."""
 
+_MOST = 1e37
+"""What single precision holds, with room for sums of a few."""
+
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 
 
@@ -51,12 +54,11 @@ def learned_deviation(
     def known(strip: slice) -> tuple[np.ndarray, np.ndarray]:
         """Of a strip, the variance that nodes predict; which are pilots, their squares, and that there."""
         variance = np.square(predicted[strip], dtype=np.float64) + least
-        values = np.stack([pilot[strip], square[strip], variance])
-        values[1:] *= values[0]
-        return variance, values
+        pilots = pilot[strip]
+        return variance, np.stack([pilots, *(np.where(pilots, a, 0) for a in (square[strip], variance))])
 
     of_strips = map_(lambda low: [a.sum() for a in known(slice(low, low + STRIP))[1]], strips)
-    pilots, all_found, all_said = np.sum(of_strips, axis=0)
+    pilots, all_found, all_said = np.sum(of_strips, axis=0) if of_strips else np.zeros(3)
 
     def learn(low: int) -> None:
         """Of a strip, which the cache holds, by what lies around it."""
@@ -69,7 +71,7 @@ def learned_deviation(
             ratio = (seen + prior * ratio) / (hoped + prior)
             mean = (seen + faith * mean) / (count + faith)
         here = slice(low - first, low - first + STRIP)
-        out[low : low + STRIP] = np.sqrt(variance * ratio + PLACE * mean)[here]
+        out[low : low + STRIP] = np.minimum(np.sqrt(variance * ratio + PLACE * mean), _MOST)[here]
 
     map_(learn, strips)
     return out
@@ -105,7 +107,10 @@ def sample_counts(
         """How many of a part have each step."""
         log_due = np.ones(len(error[part]), np.float32)
         if mean > 0:
-            np.multiply(error[part], (1 - defensive) / mean, out=log_due, casting="unsafe")
+            scale = (1 - defensive) / mean
+            # One over what is next to nothing would be too much for single precision.
+            wide = np.float64 if scale > _MOST else None
+            np.multiply(error[part], scale, out=log_due, casting="unsafe", dtype=wide)
             log_due += np.float32(defensive)
         np.maximum(log_due, np.float32(2.0**_LEAST), out=log_due)
         np.log2(log_due, out=log_due)

@@ -23,5 +23,5 @@ def even_parts(count: int, most: int) -> list[slice]:
 
     Threads that share the work wait for one another whenever arrays are short.
     """
-    number = max(-(-count // most), min(AT_LEAST, AT_LEAST * count // most), min(count, 1))
+    number = min(max(-(-count // most), min(AT_LEAST, AT_LEAST * count // most), 1), count)
     return [slice(count * i // number, count * (i + 1) // number) for i in range(number)]

@@ -61,6 +61,8 @@ class Overlaps:
         # the error, of one region after the other.
         volume = tile.overlap.take(self._region)
         self._even, self._led = volume * even, volume * density.take(self._region) * (1 - even)
+        # One over what is next to nothing would be too much for single precision.
+        error = error.astype(np.float64, copy=False)
         self._scale = np.divide(1, error, out=np.zeros(len(error)), where=error > _NO_ERROR)
         self._of_even, self._running_even = _shares(self._even, self._lowest, size)
         self._of_led, self._running_led = _shares(self._led, self._lowest, size)

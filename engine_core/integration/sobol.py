@@ -85,7 +85,7 @@ def owen_scramble(x: np.ndarray, seed: int | np.ndarray, bits: int = BITS) -> np
     A (t, m, s)-net stays one, each point becomes uniform. Applied to an index it permutes a sequence
     so that aligned blocks of 2^k points stay blocks of 2^k points.
     seed : of S scramblings (S, 1) for x (N,), which gives (S, N); a plain number gives (N,).
-    bits : the highest, which are scrambled; whoever drops the others need not have them.
+    bits : of the highest, so many are scrambled; whoever drops the others need not have them.
     """
     seeds = np.atleast_1d(seed)
     coins = np.moveaxis(hash_combine(seeds[..., None], np.arange(bits)), -1, 0)

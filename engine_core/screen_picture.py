@@ -53,10 +53,10 @@ DEFENSIVE = 0.1
 CHANCE = 1 / 32
 """The least with which a pixel is sampled at all."""
 
-DEAR = 8.0
+DEAR = 6.0
 """Of `Settings.samples`, a sample of the residual that is worth so much is none to be spread about."""
 
-MOST_DEAR = 4
+MOST_DEAR = 8
 """What chances are divided by at most."""
 
 OUTLINE_OF_SHADOW = 0.06

@@ -426,9 +426,8 @@ class ScreenPicture:
         return deviation
 
     def _chunks(self, rows: np.ndarray, n: int) -> list[np.ndarray]:
-        return [
-            rows[part] for part in even_parts(len(rows), max(1, self._settings.batch_size // (n * PIECES)))
-        ]
+        most = max(1, self._settings.batch_size // (n * PIECES))
+        return [rows[part] for part in even_parts(len(rows), most)]
 
     def __len__(self) -> int:
         """How many pieces of work there are."""

@@ -44,7 +44,7 @@ class Settings:
         `Film.control_variate` and `Film.residual` too.
     tile_size : edge in pixels of the tiles that workers take (a multiple of 16), 0 to choose by the
         picture's size.
-    batch_size : samples traced together; a batch should fit the processor's cache.
+    batch_size : samples traced together. Of fewer, threads wait for one another; more leave the cache.
     """
 
     samples: int = 16

@@ -66,7 +66,11 @@ def test_power_scales_the_picture(power):
         pytest.param(studio(48, 48, lights=[area_light(1e-36)]), id="next to no light"),
         pytest.param(
             studio(
-                48, 48, lights=[area_light(100)], world=World(0.0, volume=0), volumes=[Volume(absorption=3.0)]
+                48,
+                48,
+                lights=[area_light(100)],
+                world=World(0.0, volume=0),
+                volumes=[Volume(absorption=10.0)],
             ),
             id="next to nothing comes through",
         ),

@@ -32,6 +32,9 @@ _JOE_KUO = (
 )
 MAX_DIMENSIONS = len(_JOE_KUO) + 1
 
+AT_ONCE = 1 << 15
+"""Coins of a scrambling that are tossed at once, about."""
+
 
 def direction_numbers(dimension: int) -> np.ndarray:
     """The (32,) uint32 direction numbers of one dimension."""
@@ -45,10 +48,6 @@ def direction_numbers(dimension: int) -> np.ndarray:
             value ^= ((coefficients >> (degree - 1 - k)) & 1) * (m[i - k] << k)
         m.append(value)
     return np.array([value << (BITS - 1 - i) for i, value in enumerate(m)], np.uint64).astype(np.uint32)
-
-
-AT_ONCE = 1 << 15
-"""Coins tossed at once, about."""
 
 
 def sobol(index: np.ndarray, dimension: int) -> np.ndarray:

@@ -48,8 +48,12 @@ KINDS, NETS = 2, 2
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
-BETTER = 0.9
-"""Part of the deviation of f - h that f may have."""
+BETTER = 1.1
+"""Part of the deviation of f - h that f may have: of f - h a few samples are far worse than the mean, which f
+never is."""
+
+FEW = 2
+"""Samples a pixel of which f itself is better wherever there is a doubt: no trial then."""
 
 SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for
@@ -93,7 +97,7 @@ class Trial:
             self._tried = True
             self.doubtful = unexplained(self._tree)[0] > DOUBTFUL
             if self.doubtful:
-                self.beaten = self._is_beaten()
+                self.beaten = self._settings.samples < FEW or self._is_beaten()
         return self.beaten
 
     def _is_beaten(self) -> bool:

@@ -46,6 +46,20 @@ def test_bars_below_the_regions_are_sampled_without_h() -> None:
     assert film.statistics["control variate"].startswith("given up")
 
 
+def test_of_one_sample_a_doubt_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+    monkeypatch.setattr(trial.Trial, "_deviations", lambda self, variate, number: tried.append(number))
+    bars = clear(example("fence", 160, 90))
+    film = render(bars, Settings(samples=1, seed=5, threads=2))
+    assert film.statistics["control variate"].startswith("given up") and not tried
+    monkeypatch.setattr(trial, "DOUBTFUL", 1.0)
+    sure = render(bars, Settings(samples=1, seed=5, threads=2))
+    assert sure.statistics["control variate"] == "built" and not tried
+    truth = render(bars, Settings(samples=256, seed=77, integrator="sobol")).combined[..., :3]
+    errors = [np.square(f.combined[..., :3] - truth, dtype=np.float64).mean() for f in (film, sure)]
+    assert errors[0] < errors[1]
+
+
 def test_soft_shadows_keep_h_untried(monkeypatch: pytest.MonkeyPatch) -> None:
     def tried(*arguments: object) -> None:
         raise AssertionError("what nodes see leaves no doubt")

@@ -28,9 +28,9 @@ from .settings import Settings
 TRIED_AT = 0.25
 """The part of the nodes' budget after which it is tried."""
 
-DOUBTFUL = 0.05
+DOUBTFUL, DOUBTFUL_OF_ONE = 0.05, 0.03
 """Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
-smooth lights leave .001 to .04 then, thin occluders .06 to .3."""
+smooth lights leave .001 to .04 then, thin occluders .06 to .3. And in a picture of one sample a pixel."""
 
 OF_ALL, PIXELS, FEWEST = 1 / 64, 2048, 32
 """Of all samples, for a round of the trial, at most; pixels, at most, and so many that fewer tell nothing."""
@@ -48,12 +48,9 @@ KINDS, NETS = 2, 2
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
-BETTER = 1.1
-"""Part of the deviation of f - h that f may have: of f - h a few samples are far worse than the mean, which f
-never is."""
-
-FEW = 2
-"""Samples a pixel of which f itself is better wherever there is a doubt: no trial then."""
+BETTER, BETTER_OF_ONE = 1.1, 2.0
+"""Times the deviation of f - h that f may have: of f - h a few samples are far worse than the mean, which f
+never is. And in a picture of one."""
 
 SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for
@@ -84,6 +81,8 @@ class Trial:
         """
         self._integrand, self._pixels, self._settings = integrand, pixels, settings
         self._variate, self._tree, self._budget, self._map = variate, tree, budget, map_
+        one = settings.samples == 1
+        self._up_to, self._better = (DOUBTFUL_OF_ONE, BETTER_OF_ONE) if one else (DOUBTFUL, BETTER)
         self._count = 1 << int(np.log2(np.clip(settings.samples / 2, 1, LONGEST)))
         total = float(settings.samples) * float(np.prod(tree.bins))
         self._wanted = min(OF_ALL * total / (KINDS * NETS * self._count), PIXELS)
@@ -95,9 +94,9 @@ class Trial:
         """Whether no more nodes are worth it; to be asked before every batch. evaluations : so far."""
         if not self._tried and evaluations >= TRIED_AT * self._budget:
             self._tried = True
-            self.doubtful = unexplained(self._tree)[0] > DOUBTFUL
+            self.doubtful = unexplained(self._tree)[0] > self._up_to
             if self.doubtful:
-                self.beaten = self._settings.samples < FEW or self._is_beaten()
+                self.beaten = self._is_beaten()
         return self.beaten
 
     def _is_beaten(self) -> bool:
@@ -107,7 +106,7 @@ class Trial:
         gain, beaten = np.zeros(0), False
         for number, (low, high) in enumerate(SURE):
             of_h, of_f = self._deviations(variate, number)
-            gain = np.concatenate([gain, BETTER * of_h - of_f])
+            gain = np.concatenate([gain, self._better * of_h - of_f])
             noise = np.sqrt(len(gain)) * gain.std() if gain.size else 0.0
             beaten = gain.sum() > high * noise
             if beaten or gain.sum() <= low * noise:

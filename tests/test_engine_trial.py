@@ -46,17 +46,27 @@ def test_bars_below_the_regions_are_sampled_without_h() -> None:
     assert film.statistics["control variate"].startswith("given up")
 
 
-def test_of_one_sample_a_doubt_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[int] = []
-    monkeypatch.setattr(trial.Trial, "_deviations", lambda self, variate, number: tried.append(number))
+@pytest.mark.parametrize("samples, given_up", [(1, True), (2, False)])
+def test_f_may_be_worse_in_a_picture_of_one_sample(
+    samples: int, given_up: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half_as_bad_again(self: trial.Trial, variate: object, number: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.ones(64), np.full(64, 1.5)
+
+    monkeypatch.setattr(trial.Trial, "_deviations", half_as_bad_again)
+    film = render(clear(example("fence", 160, 90)), Settings(samples=samples, seed=5, threads=2))
+    assert film.statistics["control variate"].startswith("given up") == given_up
+
+
+def test_bars_seen_once_are_better_without_h(monkeypatch: pytest.MonkeyPatch) -> None:
     bars = clear(example("fence", 160, 90))
     film = render(bars, Settings(samples=1, seed=5, threads=2))
-    assert film.statistics["control variate"].startswith("given up") and not tried
-    monkeypatch.setattr(trial, "DOUBTFUL", 1.0)
-    sure = render(bars, Settings(samples=1, seed=5, threads=2))
-    assert sure.statistics["control variate"] == "built" and not tried
+    assert film.statistics["control variate"].startswith("given up")
+    monkeypatch.setattr(trial, "DOUBTFUL_OF_ONE", 1.0)
+    with_h = render(bars, Settings(samples=1, seed=5, threads=2))
+    assert with_h.statistics["control variate"] == "built"
     truth = render(bars, Settings(samples=256, seed=77, integrator="sobol")).combined[..., :3]
-    errors = [np.square(f.combined[..., :3] - truth, dtype=np.float64).mean() for f in (film, sure)]
+    errors = [np.square(f.combined[..., :3] - truth, dtype=np.float64).mean() for f in (film, with_h)]
     assert errors[0] < errors[1]
 
 

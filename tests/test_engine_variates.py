@@ -165,7 +165,7 @@ def test_every_pixel_has_a_sample_and_a_depth():
     close = np.abs(film.depth / sampled.depth - 1) < 0.05
     assert close.mean() > 0.97 and (film.combined[..., 3] == 1).all()
     film = render(scene, Settings(samples=1, transparent=True, **CV))
-    wanted = render(scene, Settings(samples=16, transparent=True, integrator="sobol")).combined[..., 3]
+    wanted = render(scene, Settings(samples=256, transparent=True, integrator="sobol")).combined[..., 3]
     assert abs(film.combined[..., 3].mean() / wanted.mean() - 1) < 0.01
     assert (film.combined[..., 3][wanted == 1] == 1).all() and (film.combined[..., 3][wanted == 0] == 0).all()
 

@@ -30,7 +30,8 @@ TRIED_AT = 0.25
 
 DOUBTFUL, DOUBTFUL_OF_ONE = 0.05, 0.03
 """Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
-smooth lights leave .001 to .04 then, thin occluders .06 to .3. And in a picture of one sample a pixel."""
+smooth lights leave .001 to .04 then, thin occluders .06 to .3. And in a picture of one sample a pixel, whose
+soft shadows may be tried, too."""
 
 OF_ALL, PIXELS, FEWEST = 1 / 64, 2048, 32
 """Of all samples, for a round of the trial, at most; pixels, at most, and so many that fewer tell nothing."""
@@ -49,8 +50,8 @@ LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
 BETTER, BETTER_OF_ONE = 1.1, 2.0
-"""Times the deviation of f - h that f may have: of f - h a few samples are far worse than the mean, which f
-never is. And in a picture of one."""
+"""Times the deviation of f - h that f may have; and in a picture of one sample a pixel, which has up to twice
+as many for the same time if h is given up."""
 
 SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for

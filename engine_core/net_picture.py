@@ -229,7 +229,7 @@ class NetPicture:
         row = np.arange(low // CELL, -(-high // CELL) + 1)
         values = self._at_corners(row, column, count)
         means = {n: values[..., :n].mean(axis=3, dtype=np.float64) for n in self._levels if n <= count}
-        chance, spread = _chances(values.sum(axis=0))
+        chance, spread = _chances(values)
         y, x = np.nonzero(self._served[low:high] & own.repeat(TILE * CELL)[: self._width])
         y += low
         across = np.zeros(last + 1, np.intp)
@@ -435,14 +435,18 @@ class NetPicture:
 
 
 def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of values (rows + 1, columns + 1, N) at corners of cells: (rows, columns, N) uint16 chances to ask for
-    a point in a pixel, in 1 / SURE; and (rows, columns) variances of points, of a channel.
+    """Of values (3, rows + 1, columns + 1, N) at corners of cells: (rows, columns, N) uint16 chances to ask
+    for a point in a pixel, in 1 / SURE; and (rows, columns) variances of points, of a channel.
     """
-    rows, columns = values.shape[0] - 1, values.shape[1] - 1
-    at_corners = [values[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
-    largest = np.maximum.reduce(at_corners)
-    chance = largest - np.minimum.reduce(at_corners)
-    middle = sum(at_corners) / 4
+    rows, columns = values.shape[1] - 1, values.shape[2] - 1
+
+    def at_corners(channel: np.ndarray) -> list[np.ndarray]:
+        return [channel[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
+
+    # Lights of one brightness may differ in colour.
+    chance = sum(np.ptp(at_corners(channel), axis=0) for channel in values)
+    summed = at_corners(values.sum(axis=0))
+    largest, middle = np.maximum.reduce(summed), sum(summed) / 4
     bright = middle.mean(axis=2, keepdims=True)
     np.divide(chance, DIFFERENT * bright, out=chance, where=bright > 0)
     np.minimum(chance, 1, out=chance)
@@ -450,7 +454,7 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chance *= chance
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
-    np.divide(largest, SPECK * values.shape[2] * bright, out=largest, where=bright > 0)
+    np.divide(largest, SPECK * values.shape[3] * bright, out=largest, where=bright > 0)
     np.maximum(chance, largest, out=chance, where=bright > 0)
     chance *= SURE
     np.ceil(chance, out=chance)

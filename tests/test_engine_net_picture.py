@@ -70,6 +70,16 @@ class Slit(Broken):
         return None, np.stack([bright] * 3).astype(np.float32)
 
 
+class Coloured(Broken):
+    """As bright everywhere, of one colour up to an edge in u[0] that moves over the picture."""
+
+    def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+        if lane is None:
+            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+        red = u.reshape(2, -1)[0] < 0.2 + 0.6 * stage.x.take(lane) / WIDTH
+        return None, np.stack([red, ~red, 0 * red]).astype(np.float32)
+
+
 def picture(
     seed: int,
     samples: int = 32,
@@ -128,6 +138,14 @@ def test_what_no_corner_sees_makes_no_specks():
     # One point of eight in every other pixel, which is twice as bright as all over its chance.
     assert sorted(np.unique(made.round(5)).tolist()) == [-1, 1]
     assert abs(made.mean()) < 4 / made.size**0.5
+
+
+def test_lights_of_one_brightness_and_several_colours_make_no_specks():
+    made = np.stack([picture(seed, 16, integrand=Coloured()).radiance for seed in range(40)])
+    # A point that were left to the least chance would be four times as bright.
+    assert made.min() > -0.3 and made.max() < 1.3
+    red = made[:, :, : WIDTH - 3, 0].mean(axis=(0, 1))
+    np.testing.assert_allclose(red, 0.2 + 0.6 * (np.arange(WIDTH - 3) + 0.5) / WIDTH, atol=0.04)
 
 
 def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):

@@ -181,7 +181,7 @@ class NetPicture:
             group.prepare(self._by.at_outlines * most)
         # At corners, the means of the first points of the net, as many as tiles have, where they are known.
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
-        self._by_fresh = np.zeros((3, *self._corners))
+        self._by_fresh, self._expected = np.zeros((3, *self._corners)), np.ones(self._corners)
 
     def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
@@ -308,9 +308,12 @@ class NetPicture:
             mine = np.flatnonzero((first == rows[0] // TILE) & (self._counts[first, second] == count))
             row, column = row.take(mine), column.take(mine)
             few = max(1, count // FRESH)
-            nets = self._own_nets(row, column, few)
-            fresh = self._by_nets(row, column, lambda part: nets[:, part].reshape(len(nets), -1), few)
+            nets, expected = self._own_nets(row, column, few), np.ones(len(row))
+            fresh = self._by_nets(
+                row, column, lambda part: nets[:, part].reshape(len(nets), -1), few, expected
+            )
             self._by_fresh[:, row, column] = fresh.reshape(3, -1, few).mean(axis=2, dtype=np.float64)
+            self._expected[row, column] = expected
         return values.reshape(3, len(rows), len(columns), count)
 
     def _own_nets(self, row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
@@ -327,9 +330,17 @@ class NetPicture:
         return nets.reshape(len(nets), -1, count).take((which << 2 * bits) + order, axis=1)
 
     def _by_nets(
-        self, row: np.ndarray, column: np.ndarray, nets: Callable[[slice], np.ndarray], count: int
+        self,
+        row: np.ndarray,
+        column: np.ndarray,
+        nets: Callable[[slice], np.ndarray],
+        count: int,
+        expected: np.ndarray | None = None,
     ) -> np.ndarray:
-        """(3, B * count) values at corners (B,), at the points (D, b * count) of each slice of them."""
+        """(3, B * count) values at corners (B,), at the points (D, b * count) of each slice of them.
+
+        expected : (B,), is overwritten by what is expected there, where the part knows anything.
+        """
         values = np.empty((3, len(row) * count), np.float32)
         x, y = np.minimum(column * CELL, self._width), np.minimum(row * CELL, self._height)
         # The picture's last corners are those of its last pixels.
@@ -342,6 +353,8 @@ class NetPicture:
             part = slice(low, min(low + step, len(row)))
             n = part.stop - part.start
             stage = self._integrand.first(pixels[part], u[:, part])
+            if expected is not None and self._by.expected is not None:
+                expected[part] = self._by.expected(stage, n)
             found = values_at(self._integrand, stage, n, None, nets(part))
             values[:, low * count : part.stop * count] = found[:3]
         return values
@@ -395,15 +408,17 @@ class NetPicture:
 
     def _off(self, count: int) -> np.ndarray:
         """(3, rows, columns) what the net's first ``count`` points are wrong by at the corners, as nets of
-        their own tell at all corners around for which that is known.
+        their own tell at all corners around for which that is known. In proportion to what is expected of
+        each, as what bright ones are wrong by would be seen in the dark.
         """
         off = self._by_fresh - self._means[count]
         known = np.isfinite(off)
         off[~known] = 0
         off, weight = (
-            sums_around(sums_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1].astype(np.float64))
+            sums_around(sums_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1] * self._expected)
         )
-        off /= np.maximum(weight, 1e-9)
+        np.divide(self._expected, weight, out=weight, where=weight > 0)
+        off *= weight
         return off
 
     def _correct(self, tile: int, off: dict[int, np.ndarray]) -> None:

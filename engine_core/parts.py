@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -132,6 +133,8 @@ class OverNet:
     outlines, elsewhere : as in `OverScreen`. at_outlines : samples of a pixel that an outline crosses, over
         the points that pixels around have.
     learn : called with a map_ of the workers before any point is asked for; None for nothing.
+    expected : (N,) of N camera rays, by their first stage, what is expected of them, in any unit and apart
+        from shadows; None if that is alike everywhere. No random number must have a part in it.
     fewest : points that do where noise of what is shown beside hides that they are few; 0 if as many as said
         are taken whatever that is.
     """
@@ -142,6 +145,7 @@ class OverNet:
     elsewhere: np.ndarray | None = None
     at_outlines: int = 1
     learn: Callable[[Map], None] | None = None
+    expected: Callable[[Any, int], np.ndarray] | None = None
     fewest: int = 0
 
 
@@ -310,7 +314,15 @@ def _of_fog(
         narrow = None
         if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
             narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
-        by = OverNet(light, points, and_beams(narrow), elsewhere, learn=learn, fewest=FEW_LIGHT_POINTS)
+        by = OverNet(
+            light,
+            points,
+            and_beams(narrow),
+            elsewhere,
+            learn=learn,
+            expected=light.unshadowed,
+            fewest=FEW_LIGHT_POINTS,
+        )
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
     return parts
 

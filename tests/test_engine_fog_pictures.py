@@ -394,6 +394,51 @@ def test_a_narrow_beam_has_no_specks():
             assert np.abs(ours.volume - film.volume).max() < 0.15 * film.volume.max()
 
 
+@pytest.mark.parametrize("name", ["everywhere", "a body in a body"])
+def test_what_is_expected_of_rays_is_nearly_what_they_bring(name):
+    """Where nothing shades fog; next to nothing is expected of a ray that brings nothing, and nothing less."""
+    lights = (
+        PointLight(300.0, position=OUTSIDE, radius=0.2),
+        SpotLight(800.0, light_to_world=downwards(), angle=0.6, radius=0.1),
+    )
+    made = replace(scene(*lights), meshes=[], materials=[])
+    if name != "everywhere":
+        ends = ((-3, -1, 0), (3, 2, 5)), ((-1, 0, 1), (1, 1, 3))
+        bodies = [box(*corners, volume=n, surface=False) for n, corners in enumerate(ends)]
+        volumes = [FOG, Volume(scattering=0.5)]
+        made = replace(made, meshes=bodies, materials=[Material()] * 2, world=World(), volumes=volumes)
+    by = parts_of(made, DirectLight(made), Settings(1), lambda: None)[-1].by
+    x, y = (a.ravel().astype(np.int32) for a in np.indices((48, 32)))
+    pixels = Pixels(x, y, np.zeros(len(x), np.int32))
+    rays = by.integrand.first(pixels, np.full((2, len(x), 1), 0.5, np.float32))
+    expected = by.expected(rays, len(x))
+    u = np.random.default_rng(3).random((3, len(rays), 512), np.float32)
+    which, values = by.integrand.rest(rays, None, u)
+    lane = np.arange(len(x)) if rays.lane is None else rays.lane
+    brought = np.bincount(lane[which // 512], values.sum(axis=0), len(x))
+    assert expected.min() >= 0 and not expected[np.setdiff1d(np.arange(len(x)), lane)].any()
+    ratio = expected[brought > 0] / brought[brought > 0]
+    ratio /= np.median(ratio)
+    low, high = np.quantile(ratio, (0.02, 0.98))
+    assert 1 / 3 < low and high < 3 and ratio.max() < 20
+
+
+def test_fog_behind_a_spot_is_dark():
+    """A light of some size in the picture, of few points: what they are wrong by in the beam, which is bright
+    next to it, is not shown beside."""
+    lamp = SpotLight(500.0, light_to_world=downwards((0.2, 0.5, 1.9)), angle=1.2, blend=0.4, radius=0.05)
+    camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 96, 64, 0.8, clip_start=0.1)
+    made = replace(scene(lamp), camera=camera, meshes=[floor(8)], materials=[Material(0.0)])
+    whole = render(made, Settings(64, integrator="sobol")).volume.sum(axis=-1)
+    dark = whole == 0
+    for axis in (0, 1):
+        dark &= np.logical_and.reduce([np.roll(whole, shift, axis) == 0 for shift in range(-5, 6)])
+    assert dark.mean() > 0.1
+    for seed in range(3):
+        made_of_few = render(made, Settings(1, seed=seed)).volume.sum(axis=-1)
+        assert np.abs(made_of_few[dark]).max() < 1e-3 * whole.mean()
+
+
 @pytest.mark.parametrize("radius", [0.0, 0.02])
 def test_narrow_beams_are_sampled_by_themselves(radius):
     def outlines(angle):

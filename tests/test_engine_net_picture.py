@@ -80,6 +80,20 @@ class Coloured(Broken):
         return None, np.stack([red, ~red, 0 * red]).astype(np.float32)
 
 
+class Dark(Broken):
+    """As noisy as it is bright, and black from a corner of cells on."""
+
+    def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+        if lane is None:
+            lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+        bright = 3 * u.reshape(2, -1)[0] ** 2 * (stage.x.take(lane) < 12)
+        return None, np.stack([bright] * 3).astype(np.float32)
+
+    @staticmethod
+    def expected(stage: Place, count: int) -> np.ndarray:
+        return np.bincount(stage.lane, stage.x < 12, count)
+
+
 def picture(
     seed: int,
     samples: int = 32,
@@ -96,7 +110,8 @@ def picture(
         found[17, 5] = True
         return found
 
-    by = OverNet(integrand or Broken(), samples, outlines, fewest=8)
+    integrand = integrand or Broken()
+    by = OverNet(integrand, samples, outlines, fewest=8, expected=getattr(integrand, "expected", None))
     settings = Settings(1, seed=seed, integrator=integrator, standard_error=True)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
     made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)
@@ -146,6 +161,13 @@ def test_lights_of_one_brightness_and_several_colours_make_no_specks():
     assert made.min() > -0.3 and made.max() < 1.3
     red = made[:, :, : WIDTH - 3, 0].mean(axis=(0, 1))
     np.testing.assert_allclose(red, 0.2 + 0.6 * (np.arange(WIDTH - 3) + 0.5) / WIDTH, atol=0.04)
+
+
+def test_what_the_bright_is_wrong_by_is_not_seen_in_the_dark():
+    made = np.stack([picture(seed, 8, integrand=Dark()).radiance[..., 0] for seed in range(60)])
+    assert made[:, :, :11].all() and not made[:, :, 12:].any()
+    lit = made[:, :, :8].mean(axis=(1, 2))
+    assert abs(lit.mean() - 1) < 4 * lit.std() / len(lit) ** 0.5 < 0.05
 
 
 def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):

@@ -90,6 +90,16 @@ class ScatteredLight(Scattered):
             rays.tiles = self.guide.tiles(*rays.place)
         return rays
 
+    def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:
+        """(count,) quick estimates, in some unit, of what so many camera rays bring where nothing is shaded."""
+        scattering, media = self._scattering, rays.media
+        where = self._where(rays, media.ray, np.arange(len(media.ray)))
+        found = scattering.cones.irradiance(*where, self._lights).sum(axis=0, dtype=np.float64)
+        found *= scattering.media.scattering.mean(axis=(0, 1)).take(media.mixture)
+        found *= np.exp(-media.depth.min(axis=0))
+        ray = media.ray if rays.lane is None else rays.lane.take(media.ray)
+        return np.bincount(ray, found, count)
+
     def rest(self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self._check()
         split, u = (u.shape[2] if lane is None else run(lane)), _inset(u).reshape(len(u), -1)

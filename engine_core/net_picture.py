@@ -65,6 +65,11 @@ ROUGH = 0.4
 PLACES = 8
 """In these pixels, a power of two."""
 
+APART = 0.5
+"""How much points differ between the corners of a tile's cells, so far as one of them tells, for its pixels
+to have nets of their own: most points would be asked for in any case, and what pixels are wrong by together
+is seen as a pattern."""
+
 FRESH = 2
 """The net's points over those of a corner's own net."""
 
@@ -117,12 +122,16 @@ class NetPicture:
         # Nothing is between corners on either side of an outline.
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
         self._beside = _whole_cells(outline)
-        self._served = ~(outline | elsewhere)
         self._counts = self._allocated(map_, noise)
+        self._followed, apart = np.ones(self._tiles, bool), np.zeros(self._tiles, bool)
+        if self._by.chooses and not self._alone:
+            apart = self._tiles_apart(map_)
+            # Their corners tell what those beside are wrong by.
+            self._followed = _largest_around(~apart)
+        self._apart = self._of_pixels(apart) & ~outline
+        self._served = ~(outline | elsewhere | self._apart)
         self._levels = np.unique(self._counts).tolist()
-        work = [
-            (row, count) for row in range(self._tiles[0]) for count in np.unique(self._counts[row]).tolist()
-        ]
+        work = self._work_of_rows()
         for number in range(self._rounds):
             self._prepare(number)
             # In their order: what tiles share may differ in its last bits.
@@ -158,9 +167,9 @@ class NetPicture:
         for count in self._levels:
             of_tile = ~elsewhere & (count_of == count)
             # One point of each camera ray, where these differ most: all dimensions are one net then.
-            index, cameras = np.flatnonzero(outline & of_tile), self._by.at_outlines * count
-            step = max(1, BATCH // cameras)
-            work += [(index[low : low + step], cameras) for low in range(0, len(index), step)]
+            for where, cameras in ((outline, self._by.at_outlines * count), (self._apart, count)):
+                index, step = np.flatnonzero(where & of_tile), max(1, BATCH // cameras)
+                work += [(index[low : low + step], cameras) for low in range(0, len(index), step)]
         map_(self._sample, work)
 
     def _prepare(self, number: int) -> None:
@@ -181,7 +190,7 @@ class NetPicture:
             group.prepare(self._by.at_outlines * most)
         # At corners, the means of the first points of the net, as many as tiles have, where they are known.
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
-        self._by_fresh, self._expected = np.zeros((3, *self._corners)), np.ones(self._corners)
+        self._by_fresh, self._expected = np.full((3, *self._corners), np.nan), np.ones(self._corners)
 
     def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
@@ -192,6 +201,41 @@ class NetPicture:
         if noise and self._by.fewest:
             self._take(enough_points(rough, noise, self._by.fewest, self._by.points))
         return points_of_tiles(rough, self._points)
+
+    def _tiles_apart(self, map_: Map) -> np.ndarray:
+        """(rows, columns) bool of tiles whose pixels have nets of their own. By a net that is no other's:
+        what one says of where it is of use itself must not change the mean.
+        """
+        apart = np.zeros(self._tiles, bool)
+        net = SobolPoints(range(self._integrand.rest_dimensions), self._settings.seed, 107)
+        most = int(self._counts.max())
+        net.prepare(most)
+        net = net.points(np.zeros(1, np.uint32), 0, most)[:, 0]
+
+        def look(work: tuple[int, int]) -> None:
+            row, count = work
+            tiles = np.flatnonzero(self._counts[row] == count)
+            # Left and right corners of the cells in tiles' middles, below and above.
+            left = np.minimum(tiles * TILE + TILE // 2, self._corners[1] - 2)
+            low = min(row * TILE + TILE // 2, self._corners[0] - 2)
+            column = np.tile(np.stack([left, left + 1], axis=1).ravel(), 2)
+            rows = np.repeat([low, low + 1], 2 * len(tiles))
+            points = net[:, :count]
+            values = self._by_nets(rows, column, lambda part: np.tile(points, len(rows[part])), count)
+            chance, _ = _differing(values.reshape(3, 2, -1, count))
+            # Between tiles there are no cells.
+            apart[row, tiles] = chance[0, ::2].mean(axis=1) > APART
+
+        map_(look, self._work_of_rows())
+        return apart
+
+    def _work_of_rows(self) -> list[tuple[int, int]]:
+        """Rows of tiles, each with every number of points that some of it follows."""
+        return [
+            (row, count)
+            for row, followed in enumerate(self._followed)
+            for count in np.unique(self._counts[row, followed]).tolist()
+        ]
 
     def _of_pixels(self, a: np.ndarray) -> np.ndarray:
         """(H, W) of pixels, of what is one number for each tile."""
@@ -219,7 +263,7 @@ class NetPicture:
         """
         tile, count = work
         low, high = (min((tile + i) * TILE * CELL, self._height) for i in (0, 1))
-        own = self._counts[tile] == count
+        own = (self._counts[tile] == count) & self._followed[tile]
         # Corners of these tiles alone: what is between others is of no use.
         column = np.zeros(self._corners[1], bool)
         last = len(column) - 1
@@ -453,20 +497,9 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of values (3, rows + 1, columns + 1, N) at corners of cells: (rows, columns, N) uint16 chances to ask
     for a point in a pixel, in 1 / SURE; and (rows, columns) variances of points, of a channel.
     """
-    rows, columns = values.shape[1] - 1, values.shape[2] - 1
-
-    def at_corners(channel: np.ndarray) -> list[np.ndarray]:
-        return [channel[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
-
-    # Lights of one brightness may differ in colour.
-    chance = sum(np.ptp(at_corners(channel), axis=0) for channel in values)
-    summed = at_corners(values.sum(axis=0))
-    largest, middle = np.maximum.reduce(summed), sum(summed) / 4
+    chance, at_corners = _differing(values)
+    largest, middle = np.maximum.reduce(at_corners), sum(at_corners) / 4
     bright = middle.mean(axis=2, keepdims=True)
-    np.divide(chance, DIFFERENT * bright, out=chance, where=bright > 0)
-    np.minimum(chance, 1, out=chance)
-    # What is smooth differs less from what is believed than its corners do.
-    chance *= chance
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
     np.divide(largest, SPECK * values.shape[3] * bright, out=largest, where=bright > 0)
@@ -474,6 +507,26 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chance *= SURE
     np.ceil(chance, out=chance)
     return np.clip(chance, LEAST, SURE).astype(np.uint16), middle.var(axis=2, dtype=np.float64) / 9
+
+
+def _differing(values: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Of values as above, (rows, columns, N) in [0, 1], how much points differ between a cell's corners; and
+    their channels' sums at each of the four, (rows, columns, N).
+    """
+    rows, columns = values.shape[1] - 1, values.shape[2] - 1
+
+    def at_corners(channel: np.ndarray) -> list[np.ndarray]:
+        return [channel[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
+
+    # Lights of one brightness may differ in colour.
+    differing = sum(np.ptp(at_corners(channel), axis=0) for channel in values)
+    summed = at_corners(values.sum(axis=0))
+    bright = sum(summed).mean(axis=2, keepdims=True) / 4
+    np.divide(differing, DIFFERENT * bright, out=differing, where=bright > 0)
+    np.minimum(differing, 1, out=differing)
+    # What is smooth differs less from what is believed than its corners do.
+    differing *= differing
+    return differing, summed
 
 
 def _bilinear(u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -135,6 +135,7 @@ class OverNet:
     learn : called with a map_ of the workers before any point is asked for; None for nothing.
     expected : (N,) of N camera rays, by their first stage, what is expected of them, in any unit and apart
         from shadows; None if that is alike everywhere. No random number must have a part in it.
+    chooses : whether a point chooses among lights: what it follows may be another one's anywhere then.
     fewest : points that do where noise of what is shown beside hides that they are few; 0 if as many as said
         are taken whatever that is.
     """
@@ -146,6 +147,7 @@ class OverNet:
     at_outlines: int = 1
     learn: Callable[[Map], None] | None = None
     expected: Callable[[Any, int], np.ndarray] | None = None
+    chooses: bool = False
     fewest: int = 0
 
 
@@ -321,6 +323,7 @@ def _of_fog(
             elsewhere,
             learn=learn,
             expected=light.unshadowed,
+            chooses=choice is not None,
             fewest=FEW_LIGHT_POINTS,
         )
         parts.append(Part("fog lit by lights", VOLUME, light, 1, by))

@@ -102,6 +102,7 @@ def picture(
     enough: bool = False,
     noise: float | None = None,
     integrand: Broken | None = None,
+    chooses: bool = False,
 ) -> Layer:
     layer = Layer.empty(LASER, WIDTH, HEIGHT)
 
@@ -111,19 +112,24 @@ def picture(
         return found
 
     integrand = integrand or Broken()
-    by = OverNet(integrand, samples, outlines, fewest=8, expected=getattr(integrand, "expected", None))
+    expected = getattr(integrand, "expected", None)
+    by = OverNet(integrand, samples, outlines, fewest=8, expected=expected, chooses=chooses)
     settings = Settings(1, seed=seed, integrator=integrator, standard_error=True)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
     made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)
     return layer
 
 
-@pytest.mark.parametrize(("rounds", "tile"), [(1, 8), (4, 8), (1, 1), (1, 2)])
-def test_the_mean_over_seeds_is_the_truth(rounds, tile, monkeypatch):
+@pytest.mark.parametrize(
+    ("rounds", "tile", "apart"), [(1, 8, 2), (4, 8, 2), (1, 1, 2), (1, 2, 2), (1, 1, 0.15), (4, 1, 0.15)]
+)
+def test_the_mean_over_seeds_is_the_truth(rounds, tile, apart, monkeypatch):
+    """apart : from where on tiles' pixels have nets of their own; none, or some of each picture."""
     if rounds > 1:
         monkeypatch.setattr(module, "MOST_POINTS", 8)
     monkeypatch.setattr(module, "TILE", tile)
-    seeds = np.array([picture(seed).radiance for seed in range(120)], np.float64)
+    monkeypatch.setattr(module, "APART", apart)
+    seeds = np.array([picture(seed, chooses=True).radiance for seed in range(120)], np.float64)
     np.testing.assert_allclose(seeds[..., 1], 2 * seeds[..., 0], rtol=1e-4, atol=1e-5)
     assert not seeds[..., 2].any()
     mean, truth = seeds[..., 0].mean(axis=0), Broken.truth()
@@ -168,6 +174,27 @@ def test_what_the_bright_is_wrong_by_is_not_seen_in_the_dark():
     assert made[:, :, :11].all() and not made[:, :, 12:].any()
     lit = made[:, :, :8].mean(axis=(1, 2))
     assert abs(lit.mean() - 1) < 4 * lit.std() / len(lit) ** 0.5 < 0.05
+
+
+def test_where_following_is_of_no_use_pixels_are_wrong_by_themselves(monkeypatch):
+    monkeypatch.setattr(module, "TILE", 2)
+
+    class Wild(Broken):
+        """A point is bright or dark, and another one a pixel further."""
+
+        def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+            if lane is None:
+                lane = np.repeat(np.arange(u.shape[1]), u.shape[2])
+            turn = 0.7 * np.floor(stage.x.take(lane)) + 0.9 * np.floor(stage.y.take(lane))
+            return None, np.stack([2.0 * ((u.reshape(2, -1)[0] + turn) % 1 < 0.5)] * 3).astype(np.float32)
+
+    def alike(**kind: bool) -> float:
+        made = np.stack([picture(seed, 4, integrand=Wild(), **kind).radiance[..., 0] for seed in range(60)])
+        off = made[:, :, : WIDTH - 3] - 1
+        return float((off.mean(axis=(1, 2)) ** 2).mean() / (off**2).mean() * off[0].size)
+
+    # Of as many pixels that have nothing to do with each other: 1.
+    assert alike(chooses=True) < 4 < 8 < alike()
 
 
 def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):

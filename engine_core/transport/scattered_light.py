@@ -91,7 +91,7 @@ class ScatteredLight(Scattered):
         return rays
 
     def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:
-        """(count,) quick estimates, in some unit, of what so many camera rays bring where nothing is shaded."""
+        """(count,) quick estimates, in some unit, of what so many camera rays bring if nothing is shaded."""
         scattering, media = self._scattering, rays.media
         where = self._where(rays, media.ray, np.arange(len(media.ray)))
         found = scattering.cones.irradiance(*where, self._lights).sum(axis=0, dtype=np.float64)

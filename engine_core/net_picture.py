@@ -131,6 +131,8 @@ class NetPicture:
         self._apart = self._of_pixels(apart) & ~outline
         self._served = ~(outline | elsewhere | self._apart)
         self._levels = np.unique(self._counts).tolist()
+        # What is expected at corners, 0 as long as that is not known.
+        self._expected = np.zeros(self._corners)
         work = self._work_of_rows()
         for number in range(self._rounds):
             self._prepare(number)
@@ -190,7 +192,7 @@ class NetPicture:
             group.prepare(self._by.at_outlines * most)
         # At corners, the means of the first points of the net, as many as tiles have, where they are known.
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
-        self._by_fresh, self._expected = np.full((3, *self._corners), np.nan), np.ones(self._corners)
+        self._by_fresh = np.full((3, *self._corners), np.nan)
 
     def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
@@ -352,7 +354,7 @@ class NetPicture:
             mine = np.flatnonzero((first == rows[0] // TILE) & (self._counts[first, second] == count))
             row, column = row.take(mine), column.take(mine)
             few = max(1, count // FRESH)
-            nets, expected = self._own_nets(row, column, few), np.ones(len(row))
+            nets, expected = self._own_nets(row, column, few), self._expected[row, column]
             fresh = self._by_nets(
                 row, column, lambda part: nets[:, part].reshape(len(nets), -1), few, expected
             )
@@ -383,7 +385,7 @@ class NetPicture:
     ) -> np.ndarray:
         """(3, B * count) values at corners (B,), at the points (D, b * count) of each slice of them.
 
-        expected : (B,), is overwritten by what is expected there, where the part knows anything.
+        expected : (B,), is overwritten by what is expected there, unless that is known.
         """
         values = np.empty((3, len(row) * count), np.float32)
         x, y = np.minimum(column * CELL, self._width), np.minimum(row * CELL, self._height)
@@ -397,8 +399,8 @@ class NetPicture:
             part = slice(low, min(low + step, len(row)))
             n = part.stop - part.start
             stage = self._integrand.first(pixels[part], u[:, part])
-            if expected is not None and self._by.expected is not None:
-                expected[part] = self._by.expected(stage, n)
+            if expected is not None and not expected[part].any():
+                expected[part] = 1 if self._by.expected is None else self._by.expected(stage, n)
             found = values_at(self._integrand, stage, n, None, nets(part))
             values[:, low * count : part.stop * count] = found[:3]
         return values
@@ -479,8 +481,7 @@ class NetPicture:
             j, i = y // CELL - low // CELL, x // CELL
             rows = rows.take(j, axis=1) * (1 - down) + rows.take(j + 1, axis=1) * down
             found = rows.take(i, axis=2) * (1 - across) + rows.take(i + 1, axis=2) * across
-            np.copyto(change, found, where=count_of == count)
-        change *= self._served[part]
+            np.copyto(change, found, where=self._served[part] & (count_of == count))
         for term in (self._layer.radiance, *[self._layer.control_variate] * self._settings.terms):
             term[part] += change.transpose(1, 2, 0)
 

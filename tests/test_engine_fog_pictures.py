@@ -423,6 +423,18 @@ def test_what_is_expected_of_rays_is_nearly_what_they_bring(name):
     assert low > 1 / 3 and high < 3 and ratio.max() < 20
 
 
+@pytest.mark.parametrize("size", [(24, 140), (140, 24)])
+def test_most_of_a_picture_may_meet_no_fog(size):
+    """Not one corner of whole rows of tiles."""
+    camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), *size, 0.8, clip_start=0.1)
+    body = box((-0.2, -0.2, 0.6), (0.2, 0.2, 1.0), volume=0, surface=False)
+    lamps = [PointLight(300.0, position=(x, 1.5, 4.5), radius=0.4) for x in np.linspace(-2, 2, 12)]
+    for lights in (lamps[:1], lamps):
+        film = render(Scene(camera, [body], [Material()], lights, volumes=[FOG]), Settings(1))
+        assert_picture_is_sound(film)
+        assert film.volume.any() and not film.volume.all(axis=-1).any(axis=1).all()
+
+
 def test_fog_behind_a_spot_is_dark():
     """A light of some size in the picture, of few points: what they are wrong by in its beam, bright as that
     is, is not shown beside."""

@@ -128,6 +128,20 @@ class AirLights:
         ]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
+    def irradiance_of_all(
+        self, place: np.ndarray, direction: np.ndarray, which: np.ndarray, between: Callable[[], None]
+    ) -> np.ndarray:
+        """(M,) float64 sums of the estimates of lights ``which`` (L',), whose array is never whole.
+
+        between : called now and then; may raise, to give up.
+        """
+        step, found = max(1, _CHUNK // max(len(which), 1)), np.zeros(place.shape[1])
+        for first in range(0, len(found), step):
+            between()
+            part = slice(first, first + step)
+            found[part] = self._estimate(place[:, part], direction[:, part], which).sum(axis=0)
+        return found
+
     def _estimate(self, place: np.ndarray, direction: np.ndarray, which: np.ndarray) -> np.ndarray:
         start, end, extinction, leg = place[3:]
         near = np.flatnonzero(~self._far_off.take(which))

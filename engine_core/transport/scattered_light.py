@@ -35,6 +35,9 @@ from .single_scattering import Places, Scattered, SingleScattering, run
 _STEPS = 8
 """Of the table by which "auto" follows extinction and phase function between a light's angles."""
 
+LOOKED_AT = 256
+"""Lights, about, that stand for all where nothing but the rough brightness is wanted."""
+
 
 def in_cone(
     apex: np.ndarray, axis: np.ndarray, cos: np.ndarray, origin: np.ndarray, direction: np.ndarray
@@ -94,7 +97,8 @@ class ScatteredLight(Scattered):
         """(count,) quick estimates, in some unit, of what so many camera rays bring if nothing is shaded."""
         scattering, media = self._scattering, rays.media
         where = self._where(rays, media.ray, np.arange(len(media.ray)))
-        found = scattering.cones.irradiance(*where, self._lights).sum(axis=0, dtype=np.float64)
+        lights = self._lights[:: -(-len(self._lights) // LOOKED_AT)]
+        found = scattering.cones.irradiance_of_all(*where, lights, self._check)
         found *= scattering.media.scattering.mean(axis=(0, 1)).take(media.mixture)
         found *= np.exp(-media.depth.min(axis=0))
         ray = media.ray if rays.lane is None else rays.lane.take(media.ray)

@@ -224,7 +224,7 @@ class NetPicture:
             rows = np.repeat([low, low + 1], 2 * len(tiles))
             points = net[:, :count]
             values = self._by_nets(rows, column, lambda part: np.tile(points, len(rows[part])), count)
-            chance, _ = _differing(values.reshape(3, 2, -1, count))
+            chance, *_ = _differing(values.reshape(3, 2, -1, count))
             # Between tiles there are no cells.
             apart[row, tiles] = chance[0, ::2].mean(axis=1) > APART
 
@@ -498,9 +498,8 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of values (3, rows + 1, columns + 1, N) at corners of cells: (rows, columns, N) uint16 chances to ask
     for a point in a pixel, in 1 / SURE; and (rows, columns) variances of points, of a channel.
     """
-    chance, at_corners = _differing(values)
-    largest, middle = np.maximum.reduce(at_corners), sum(at_corners) / 4
-    bright = middle.mean(axis=2, keepdims=True)
+    chance, summed, middle = _differing(values)
+    largest, bright = _of_corners(np.maximum, summed), middle.mean(axis=2, keepdims=True)
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
     np.divide(largest, SPECK * values.shape[3] * bright, out=largest, where=bright > 0)
@@ -510,24 +509,26 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(chance, LEAST, SURE).astype(np.uint16), middle.var(axis=2, dtype=np.float64) / 9
 
 
-def _differing(values: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+def _differing(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of values as above, (rows, columns, N) in [0, 1], how much points differ between a cell's corners; and
-    their channels' sums at each of the four, (rows, columns, N).
+    their channels' sums, at corners and the mean of each cell's four.
     """
-    rows, columns = values.shape[1] - 1, values.shape[2] - 1
-
-    def at_corners(channel: np.ndarray) -> list[np.ndarray]:
-        return [channel[j : j + rows, i : i + columns] for j in (0, 1) for i in (0, 1)]
-
     # Lights of one brightness may differ in colour.
-    differing = sum(np.ptp(at_corners(channel), axis=0) for channel in values)
-    summed = at_corners(values.sum(axis=0))
-    bright = sum(summed).mean(axis=2, keepdims=True) / 4
+    differing = sum(_of_corners(np.maximum, channel) - _of_corners(np.minimum, channel) for channel in values)
+    summed = values.sum(axis=0)
+    middle = _of_corners(np.add, summed) / 4
+    bright = middle.mean(axis=2, keepdims=True)
     np.divide(differing, DIFFERENT * bright, out=differing, where=bright > 0)
     np.minimum(differing, 1, out=differing)
     # What is smooth differs less from what is believed than its corners do.
     differing *= differing
-    return differing, summed
+    return differing, summed, middle
+
+
+def _of_corners(of_two: np.ufunc, a: np.ndarray) -> np.ndarray:
+    """(rows, columns, N) of each cell's four corners, of which ``a`` (rows + 1, columns + 1, N) is told."""
+    a = of_two(a[:-1], a[1:])
+    return of_two(a[:, :-1], a[:, 1:])
 
 
 def _bilinear(u: np.ndarray, v: np.ndarray) -> np.ndarray:

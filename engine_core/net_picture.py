@@ -65,10 +65,12 @@ ROUGH = 0.4
 PLACES = 8
 """In these pixels, a power of two."""
 
-APART = 0.5
-"""How much points differ between the corners of a tile's cells, so far as one of them tells, for its pixels
-to have nets of their own: most points would be asked for in any case, and what pixels are wrong by together
-is seen as a pattern."""
+APART = 0.6
+"""How much points differ between the corners of a cell, in tiles around, for a tile's pixels to have nets of
+their own: most points would be asked for in any case, and what pixels are wrong by together is a pattern."""
+
+ALIKE = np.ones(7)
+"""Weights of the tiles of which that is the mean, along each axis."""
 
 FRESH = 2
 """The net's points over those of a corner's own net."""
@@ -208,7 +210,7 @@ class NetPicture:
         """(rows, columns) bool of tiles whose pixels have nets of their own. By a net that is no other's:
         what one says of where it is of use itself must not change the mean.
         """
-        apart = np.zeros(self._tiles, bool)
+        differing = np.zeros(self._tiles)
         net = SobolPoints(range(self._integrand.rest_dimensions), self._settings.seed, 107)
         most = int(self._counts.max())
         net.prepare(most)
@@ -224,12 +226,16 @@ class NetPicture:
             rows = np.repeat([low, low + 1], 2 * len(tiles))
             points = net[:, :count]
             values = self._by_nets(rows, column, lambda part: np.tile(points, len(rows[part])), count)
-            chance, *_ = _differing(values.reshape(3, 2, -1, count))
+            found, *_ = _differing(values.reshape(3, 2, -1, count))
             # Between tiles there are no cells.
-            apart[row, tiles] = chance[0, ::2].mean(axis=1) > APART
+            differing[row, tiles] = found[0, ::2].mean(axis=1)
 
         map_(look, self._work_of_rows())
-        return apart
+        # With those around, as single tiles among others of the other kind are seen.
+        for axis in range(2):
+            sums, weights = (sums_around(a, axis, ALIKE) for a in (differing, np.ones(self._tiles)))
+            differing = sums / weights
+        return differing > APART
 
     def _work_of_rows(self) -> list[tuple[int, int]]:
         """Rows of tiles, each with every number of points that some of it follows."""

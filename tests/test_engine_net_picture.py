@@ -129,6 +129,7 @@ def test_the_mean_over_seeds_is_the_truth(rounds, tile, apart, monkeypatch):
         monkeypatch.setattr(module, "MOST_POINTS", 8)
     monkeypatch.setattr(module, "TILE", tile)
     monkeypatch.setattr(module, "APART", apart)
+    monkeypatch.setattr(module, "ALIKE", np.ones(1))
     seeds = np.array([picture(seed, chooses=True).radiance for seed in range(120)], np.float64)
     np.testing.assert_allclose(seeds[..., 1], 2 * seeds[..., 0], rtol=1e-4, atol=1e-5)
     assert not seeds[..., 2].any()
@@ -178,6 +179,7 @@ def test_what_the_bright_is_wrong_by_is_not_seen_in_the_dark():
 
 def test_where_following_is_of_no_use_pixels_are_wrong_by_themselves(monkeypatch):
     monkeypatch.setattr(module, "TILE", 2)
+    monkeypatch.setattr(module, "ALIKE", np.ones(1))
 
     class Wild(Broken):
         """A point is bright or dark, and another one a pixel further."""

@@ -11,7 +11,8 @@ point, what the pixels within get:
 The chance is 1 where a shadow's edge lies between the corners, and little where they agree. Whatever was
 believed, the mean over chances is f_i. The net is as wrong as its few points are; nets of their own at the
 corners, smoothed over the picture, take off what neighbours are wrong by together. Where others again
-found more shadows, tiles of the picture follow more points. All of it is unbiased.
+found more shadows, tiles of the picture follow more points; where points differ everywhere, as each may be of
+another light, pixels have nets of their own. All of it is unbiased.
 """
 
 from __future__ import annotations
@@ -504,8 +505,8 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of values (3, rows + 1, columns + 1, N) at corners of cells: (rows, columns, N) uint16 chances to ask
     for a point in a pixel, in 1 / SURE; and (rows, columns) variances of points, of a channel.
     """
-    chance, summed, middle = _differing(values)
-    largest, bright = _of_corners(np.maximum, summed), middle.mean(axis=2, keepdims=True)
+    chance, summed, middle, bright = _differing(values)
+    largest = _of_corners(np.maximum, summed)
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
     np.divide(largest, SPECK * values.shape[3] * bright, out=largest, where=bright > 0)
@@ -515,9 +516,9 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(chance, LEAST, SURE).astype(np.uint16), middle.var(axis=2, dtype=np.float64) / 9
 
 
-def _differing(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _differing(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of values as above, (rows, columns, N) in [0, 1], how much points differ between a cell's corners; and
-    their channels' sums, at corners and the mean of each cell's four.
+    their channels' sums: at corners, the mean of each cell's four, and (rows, columns, 1) of all its points.
     """
     # Lights of one brightness may differ in colour.
     differing = sum(_of_corners(np.maximum, channel) - _of_corners(np.minimum, channel) for channel in values)
@@ -528,7 +529,7 @@ def _differing(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     np.minimum(differing, 1, out=differing)
     # What is smooth differs less from what is believed than its corners do.
     differing *= differing
-    return differing, summed, middle
+    return differing, summed, middle, bright
 
 
 def _of_corners(of_two: np.ufunc, a: np.ndarray) -> np.ndarray:

@@ -124,7 +124,7 @@ class AirLights:
         step = max(1, _CHUNK // max(len(which), 1))
         parts = [
             self._estimate(place[:, first : first + step], direction[:, first : first + step], which)
-            for first in range(0, max(place.shape[1], 1), step)
+            for first in range(0, place.shape[1], step)
         ]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 

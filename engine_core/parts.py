@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .geometry.vectors import dot, take
 from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
@@ -36,7 +37,6 @@ from .transport.ray_rule import (
     NextToLight,
     PointsOfRay,
     ScatteredAlongRay,
-    nodes_and_checks,
 )
 from .transport.scattered_light import ScatteredLight
 from .transport.shadows import Shadows
@@ -68,6 +68,13 @@ LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 4, 32
 """Of the net of lights with a size, in fog, in a picture of one sample, and where surfaces' noise is far more
 than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
 know where it is."""
+
+SMALL, MOST_SMALL = 0.05, 16
+"""Radius of a light over its distance of rays, of half of these at most, so that whole rays see it as a few
+points; wider ones have nets. And lights up to which that is done."""
+
+RAYS_ASKED = 16
+"""Along either edge of the picture, how many rays tell that distance."""
 
 LEARNING = 1 / 16
 """Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points
@@ -112,6 +119,7 @@ class OverScreen:
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     wedges : parts of the picture that no region knows whose nodes all lie beside them.
     bodies : of a region of the picture and a map_, which bodies of fog are seen, as `silhouettes`.
+    otherwise : what serves it better where polynomials are given up; None if samples of ``alone`` do.
     """
 
     whole: StagedIntegrand
@@ -123,6 +131,7 @@ class OverScreen:
     elsewhere: np.ndarray | None
     wedges: tuple[Wedge, ...]
     bodies: Callable[[Region, Map], np.ndarray | None]
+    otherwise: OverNet | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +193,8 @@ class Part:
         integrands = [self.plain]
         if isinstance(self.by, OverScreen):
             integrands += [self.by.whole, self.by.alone]
+            if self.by.otherwise is not None:
+                integrands.append(self.by.otherwise.integrand)
         elif isinstance(self.by, AroundLights):
             integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
@@ -231,13 +242,24 @@ def _of_fog(
     settings: Settings,
     check: Callable[[], None],
 ) -> list[Part]:
+    by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
+    parts, rest, elsewhere, calm = [], scattering.sized, None, None
+    bare, small, choice = scattering.sizeless, scattering.small, None
+    if len(bare) > MOST_BARE:
+        bare, rest = bare[:0], np.union1d(bare, rest)
+    small = small[_of_distance(scattering, small, region) < SMALL] if by_net else small[:0]
+    if len(small) > MOST_SMALL:
+        small = small[:0]
+
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
-        """Of lights of all kinds: whole rays of those without size, points of the others."""
+        """Of lights of all kinds: whole rays of those without size and small ones, points of the others."""
         found: list[StagedIntegrand] = []
-        if (of_bare := np.intersect1d(lights, bare)).size:
+        if (of_rays := np.intersect1d(lights, np.union1d(bare, small))).size:
             looks, checks = AROUND_LIGHTS
-            found.append(ScatteredAlongRay(scattering, of_bare, check, looks, looks, checks=checks))
-        if (of_rest := np.intersect1d(lights, rest)).size:
+            found.append(
+                ScatteredAlongRay(scattering, of_rays, check, looks, looks, checks=checks, several=False)
+            )
+        if (of_rest := np.setdiff1d(np.intersect1d(lights, rest), small)).size:
             found.append(
                 ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check)
             )
@@ -246,10 +268,53 @@ def _of_fog(
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
         return lambda region, map_: outlines.with_fog(region, map_) | (False if beams is None else beams)
 
-    parts, rest, elsewhere, calm = [], scattering.sized, None, None
-    bare, choice = scattering.sizeless, None
-    if len(bare) > MOST_BARE:
-        bare, rest = bare[:0], np.union1d(bare, rest)
+    def by_points(lights: np.ndarray) -> OverNet:
+        choice = scattering.choice_of_cells(lights, *cells(region), check)
+        learn, points = None, _growing(LIGHT_POINTS, settings.samples)
+        light = ScatteredLight(scattering, lights, choice, check)
+        if choice is None and by_net:
+            each = [ScatteredLight(scattering, np.array([one]), None, check) for one in lights]
+
+            def learn(map_: Map) -> None:
+                pixels = (region[2] - region[0]) * (region[3] - region[1])
+                work = int(LEARNING * pixels * points)
+                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, work, map_)
+                for one in each:
+                    light.counts.update(one.counts)
+
+        narrow = None
+        if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, lights)):
+            narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
+        return OverNet(
+            light,
+            points,
+            and_beams(narrow),
+            elsewhere,
+            learn=learn,
+            expected=light.unshadowed,
+            chooses=choice is not None,
+            fewest=FEW_LIGHT_POINTS,
+        )
+
+    def by_rays(lights: np.ndarray, many: bool, otherwise: OverNet | None = None) -> OverScreen:
+        whole = ScatteredAlongRay(scattering, lights, check, tamed=calm, samples_too=many)
+        # With a shadow on the way.
+        node = whole.nodes + 2 * BISECTIONS
+        node, ray, alone = RAYS_OF_MANY if many else (node, node + whole.checks, RAY_POINTS)
+        of_spots = wedges(scattering.rays, scattering.lights, scattering.cones, lights)
+        return OverScreen(
+            whole,
+            AlongRay(node),
+            ray,
+            PointsOfRay(scattering, lights, check, tamed=calm if many else None),
+            alone,
+            otherwise.outlines if otherwise else and_beams(None if calm is None else calm.beams),
+            None if many else elsewhere,
+            tuple(of_spots.values()),
+            outlines.bodies,
+            otherwise,
+        )
+
     # Of many lights, blocks have the peaks alone.
     many = len(bare) > ALL
     every = rest if many else np.union1d(bare, rest)
@@ -277,57 +342,39 @@ def _of_fog(
         else:
             elsewhere = None
     if bare.size:
-        whole = ScatteredAlongRay(scattering, bare, check, tamed=calm, samples_too=many)
-        nodes, checks = nodes_and_checks(bare.size)
-        # With a shadow on the way.
-        node = nodes + 2 * BISECTIONS
-        node, ray, alone = RAYS_OF_MANY if many else (node, node + checks, RAY_POINTS)
-        by = OverScreen(
-            whole,
-            AlongRay(node),
-            ray,
-            PointsOfRay(scattering, bare, check, tamed=calm if many else None),
-            alone,
-            and_beams(None if calm is None else calm.beams),
-            None if many else elsewhere,
-            tuple(beams.values()),
-            outlines.bodies,
-        )
+        by = by_rays(bare, many)
         plain = ScatteredLight(scattering, bare, None, check)
         if settings.integrator == "control_variates" and scattering.screen_dimensions > 2:
             # A lens' rays differ; but a camera ray is worth a few points.
             plain = by.alone
         parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
-    if rest.size:
-        choice = scattering.choice_of_cells(rest, *cells(region), check)
-        learn, points = None, _growing(LIGHT_POINTS, settings.samples)
-        by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
-        light = ScatteredLight(scattering, rest, choice, check)
-        if choice is None and by_net:
-            each = [ScatteredLight(scattering, np.array([one]), None, check) for one in rest]
-
-            def learn(map_: Map) -> None:
-                pixels = (region[2] - region[0]) * (region[3] - region[1])
-                work = int(LEARNING * pixels * points)
-                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, work, map_)
-                for one in each:
-                    light.counts.update(one.counts)
-
-        narrow = None
-        if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, rest)):
-            narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
-        by = OverNet(
-            light,
-            points,
-            and_beams(narrow),
-            elsewhere,
-            learn=learn,
-            expected=light.unshadowed,
-            chooses=choice is not None,
-            fewest=FEW_LIGHT_POINTS,
-        )
-        parts.append(Part("fog lit by lights", VOLUME, light, 1, by))
+    if small.size:
+        by = by_points(small)
+        parts.append(Part("fog lit by small lights", VOLUME, by.integrand, 1, by_rays(small, False, by)))
+    if (others := np.setdiff1d(rest, small)).size:
+        by = by_points(others)
+        parts.append(Part("fog lit by lights", VOLUME, by.integrand, 1, by))
     return parts
+
+
+def _of_distance(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
+    """(L,) radii of lights (L,) over the median distance of rays through fog; inf where there is none."""
+    if lights.size == 0:
+        return np.zeros(0)
+    x0, y0, x1, y1 = region
+    x, y = (
+        a.ravel()
+        for a in np.meshgrid(np.linspace(x0, x1 - 1, RAYS_ASKED), np.linspace(y0, y1 - 1, RAYS_ASKED))
+    )
+    pixels = _pixels(region, x, y)
+    rays = scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
+    if len(rays) == 0:
+        return np.full(len(lights), np.inf)
+    media, scene = rays.media, scattering.lights
+    vector = scene.centre[:, lights, None] - take(rays.origin, media.ray)[:, None]
+    direction = take(rays.direction, media.ray)[:, None]
+    vector -= np.clip(dot(vector, direction), media.start, media.end) * direction
+    return scene.reach[lights] / np.maximum(np.median(np.sqrt(dot(vector, vector)), axis=1), 1e-300)
 
 
 def _growing(of_one: int, samples: int) -> int:

@@ -222,16 +222,20 @@ class _Render:
         if self._sampled_once:
             noise = self._plain.noise()
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
-            begin = time.perf_counter()
-            picture = PICTURES[type(part.by)](
-                part.by, self._settings, self._camera.region, layer, self._workers.check
-            )
-            build = picture.build
-            if isinstance(picture, NetPicture):
-                build = partial(build, noise=noise)
-            outcome, ended = self._workers.drive(build, f"Building {part.name}")
+            begin, by = time.perf_counter(), part.by
+            while by is not None and not ended:
+                picture = PICTURES[type(by)](
+                    by, self._settings, self._camera.region, layer, self._workers.check
+                )
+                build = picture.build
+                if isinstance(picture, NetPicture):
+                    build = partial(build, noise=noise)
+                outcome, ended = self._workers.drive(build, f"Building {part.name}")
+                if not ended:
+                    outcome.result()
+                given_up = isinstance(picture, ScreenPicture) and not picture.built
+                by = by.otherwise if given_up else None
             if not ended:
-                outcome.result()
                 self._show_all()
             built.append((picture, time.perf_counter() - begin))
             if ended:

@@ -120,7 +120,8 @@ BEYOND_HOPE = 0.5
 class ScreenPicture:
     """One layer of a picture: built, shown whole, and refined where its error is.
 
-    regions, nodes : how many there are. seconds : by stage. told : what was done, for people.
+    built : whether polynomials were of use. regions, nodes : how many there are. seconds : by stage.
+    told : what was done, for people.
     """
 
     def __init__(
@@ -143,7 +144,7 @@ class ScreenPicture:
         self._cost = max(1.0, by.rays / SHADOW_RAYS)
         self._frame, self._corner = region, region[:2]
         self._bins = (region[2] - region[0], region[3] - region[1])
-        self.regions = self.nodes = 0
+        self.regions, self.nodes, self.built = 0, 0, False
         self.told = "given up: sampled"
         self.seconds: dict[str, float] = {}
         self._tree: RegionTree | None = None
@@ -182,7 +183,7 @@ class ScreenPicture:
             self._left -= min(evaluator.evaluations / SHADOW_RAYS, SHARE * total)
             if helps or alone:
                 self._tree, self.told = tree, "built"
-        self._built = self._tree is not None
+        self.built = self._tree is not None
         grown = perf_counter()
         self._integrate(map_, met)
         map_(self._keep_variate, self._rows())
@@ -298,7 +299,7 @@ class ScreenPicture:
         )
         crossed = alone[~beside]
         of_one = max(float(width * height), FEWEST * self._cost)
-        afforded = self._left * max(1.0, (WORTH if self._built else WORTH_OF_F) * of_one / self._total)
+        afforded = self._left * max(1.0, (WORTH if self.built else WORTH_OF_F) * of_one / self._total)
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
         at_outlines = 1 << int(np.log2(np.clip(due, 2, AT_OUTLINES if around.any() else 2)))
         self._prepare(at_outlines)

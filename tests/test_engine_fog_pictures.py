@@ -24,6 +24,7 @@ from engine_core import (
     SunLight,
     Volume,
     World,
+    parts,
     render,
 )
 from engine_core.image.film import LASER, Layer
@@ -270,8 +271,9 @@ def test_a_narrow_beam_has_no_specks():
 
 
 @pytest.mark.parametrize("name", ["everywhere", "a body in a body"])
-def test_what_is_expected_of_rays_is_nearly_what_they_bring(name):
+def test_what_is_expected_of_rays_is_nearly_what_they_bring(name, monkeypatch):
     """Where nothing shades fog; and nothing is expected of a ray that meets none."""
+    monkeypatch.setattr(parts, "MOST_SMALL", 0)
     lights = (
         PointLight(300.0, position=OUTSIDE, radius=0.2),
         SpotLight(800.0, light_to_world=downwards(), angle=0.6, radius=0.1),
@@ -310,9 +312,12 @@ def test_most_of_a_picture_may_meet_no_fog(size):
         assert film.volume.any() and not film.volume.all(axis=-1).any(axis=1).all()
 
 
-def test_fog_behind_a_spot_is_dark():
+@pytest.mark.parametrize("by_net", [False, True])
+def test_fog_behind_a_spot_is_dark(by_net, monkeypatch):
     """A light of some size in the picture, of few points: what they are wrong by in its beam, bright as that
     is, is not shown beside."""
+    if by_net:
+        monkeypatch.setattr(parts, "MOST_SMALL", 0)
     lamp = SpotLight(500.0, light_to_world=downwards((0.2, 0.5, 1.9)), angle=1.2, blend=0.4, radius=0.05)
     camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 96, 64, 0.8, clip_start=0.1)
     made = replace(scene(lamp), camera=camera, meshes=[floor(8)], materials=[Material(0.0)])

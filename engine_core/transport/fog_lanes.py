@@ -24,12 +24,16 @@ from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..integration.sobol import hash_combine, unit_float
 from . import phase
+from .emitters import SphereEmitters
 from .fog_rays import FogRays
 from .light_samples import SceneLights
 from .media import Media
 
 POINT, SPOT, SUN = range(3)
 """Kinds of lights."""
+
+BARE, DISK, BALL = range(3)
+"""Their shapes: without size, disks that face the fog, balls."""
 
 DEEPEST = 24.0
 """Optical depth of a lane beyond which nothing is looked for: exp(-24) is 4e-11."""
@@ -48,19 +52,34 @@ _NEAR = 256.0
 
 _TINY = 1e-300
 
+GRAZING = (0.8, 4), (0.4, 8)
+"""Pairs of points of a small spot that light a ray, where less than such a part of what they light of it is
+lit by all."""
+
+_NEXT_LIGHT = np.array([[0.7548776662466927], [0.5698402909980532]])
+"""What lights' points are apart by on one ray, so that their errors even out: R2 of M. Roberts, 2018."""
+
 
 @dataclass(eq=False)
 class BareLights:
-    """L lights without size.
+    """L lights without size, or points of small ones: opposite ones side by side, of half the strength each.
 
+    number : (L,) of the scene's lights, ascending.
     position : (3, L) float64; of suns the direction to them. strength : (3, L) float64.
     kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
-    cone's angle, and 1 over the width of its edge in cosines. state : (L,) uint64, which fogs it is in.
+        cone's angle, and 1 over the width of its edge in cosines.
+    state : (L,) uint64, which fogs all of a light is in.
+    shape, radius : (L,) `BARE`, `DISK` or `BALL`, and 0 of the first.
+    lamp, opposite : (2, L) and (L,) bool, where on small ones their points are, of a ray that has its own at
+        u: at u + lamp, modulo 1, or opposite to that.
+    back : (L,) how far behind a spot, in its own space, the cone begins that holds all of its points' cones.
     nearest, whole : (L,) distance to the light at which a ray is taken to pass at least, and from which on it
         sees all of a spot's light (`around_light.Tamed`); 0 but for nodes.
+    several : whether rays may have several pairs, as in `GRAZING`.
     """
 
+    number: np.ndarray
     position: np.ndarray
     strength: np.ndarray
     kind: np.ndarray
@@ -69,16 +88,27 @@ class BareLights:
     below: np.ndarray
     sharpness: np.ndarray
     state: np.ndarray
+    shape: np.ndarray
+    radius: np.ndarray
+    lamp: np.ndarray
+    opposite: np.ndarray
+    back: np.ndarray
     nearest: np.ndarray
     whole: np.ndarray
+    several: bool = True
 
     @staticmethod
     def of(scene: SceneLights, number: np.ndarray, media: Media) -> BareLights:
-        """Lights ``number`` (L,) of a scene, ascending."""
+        """Lights ``number`` (L',) of a scene, ascending, none of which are areas."""
+        sized = scene.sized.take(number)
+        row = np.repeat(np.arange(len(number)), 1 + sized)
+        opposite = np.append(False, row[1:] == row[:-1])[: len(row)]
+        number, sized = number.take(row), sized.take(row)
         count = len(number)
         position, strength = np.zeros((2, 3, count))
         kind, axes = np.zeros(count, np.intp), np.zeros((3, 3, count))
         below, sharpness = np.zeros(count), np.ones(count)
+        radius, shape, back = np.zeros(count), np.zeros(count, np.intp), np.zeros(count)
         for group, start, stop in zip(scene.groups, scene.first[:-1], scene.first[1:], strict=True):
             rows = np.flatnonzero((number >= start) & (number < stop))
             if rows.size == 0:
@@ -89,25 +119,41 @@ class BareLights:
                 position[:, rows], kind[rows] = group.axis[:, here], SUN
                 continue
             position[:, rows] = group.centre[:, here]
+            radius[rows] = group.reach[here]
+            shape[rows] = np.where(
+                radius[rows] == 0, BARE, BALL if isinstance(group, SphereEmitters) else DISK
+            )
             if group.cone.any:
                 cos = group.cone.cos[here].astype(np.float64)
                 axes[:, :, rows], sharpness[rows] = group.cone.inverse[:, :, here], group.cone.sharpness[here]
                 below[rows] = 1 - cos
-                kind[rows[cos > -1]] = SPOT
+                is_spot = cos > -1
+                kind[rows[is_spot]] = SPOT
+                largest = np.linalg.norm(axes[:, :, rows].transpose(2, 0, 1), 2, axis=(1, 2))
+                sine = np.sqrt(np.maximum(1 - cos * cos, 1e-6))
+                back[rows] = np.where(is_spot, largest * radius[rows] / sine, 0)
+        strength[:, sized] /= 2
         state = np.zeros(count, np.uint64)
         if media.bodies and count:
-            origins = np.ascontiguousarray(position.T, np.float32)
-            state = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
+            # An octahedron that holds the light.
+            corners = np.concatenate([np.zeros((3, 1)), np.eye(3), -np.eye(3)], axis=1) * 3**0.5
+            origins = position[:, None] + corners[:, :, None] * radius
+            origins = np.ascontiguousarray(origins.reshape(3, -1).T, np.float32)
+            inside = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
+            state = np.bitwise_and.reduce(inside.reshape(-1, count), axis=0)
         casts = scene.casts_shadow[number]
+        lamp = number * _NEXT_LIGHT % 1
         return BareLights(
-            position, strength, kind, casts, axes, below, sharpness, state, *np.zeros((2, count))
-        )
+            number, position, strength, kind, casts, axes, below, sharpness, state,
+            shape, radius, lamp, opposite, back, *np.zeros((2, count)),
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.kind)
 
     def take(self, rows: np.ndarray) -> BareLights:
-        return BareLights(*(getattr(self, f.name)[..., rows] for f in fields(self)))
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return BareLights(**{k: v if isinstance(v, bool) else v[..., rows] for k, v in parts.items()})
 
 
 @dataclass(eq=False)
@@ -117,7 +163,9 @@ class FogSegments:
     ray : (K,) ascending. origin, direction : (3, K) float64, of the rays. start, end : (K,) float64.
     depth : (C, K) before the start. inside : (K,) bits. mixture : (K,) rows, or (1,) if all are the same, of
     sigma (C, R) extinction, scattering (G, 3, R), of those phase functions that are used, with anisotropy
-    (G,), and of thinnest and densest (R,) extinction of the channels that scatter. shift : (K,) of `Lanes`.
+    (G,), and of thinnest and densest (R,) extinction of the channels that scatter.
+    bits : (K,) uint32, as if by chance, other ones of each camera ray. lamp : (2, K) in [0, 1), where on
+    lights the rays have their points; None if ``bits`` are to say.
     """
 
     ray: np.ndarray
@@ -134,11 +182,14 @@ class FogSegments:
     thinnest: np.ndarray
     densest: np.ndarray
     through: np.ndarray | None
-    shift: np.ndarray
+    bits: np.ndarray
+    lamp: np.ndarray | None
 
     @staticmethod
-    def of(rays: FogRays, ray: np.ndarray | None, media: Media) -> FogSegments:
-        """Of rays (N,), None for all."""
+    def of(
+        rays: FogRays, ray: np.ndarray | None, media: Media, lamp: np.ndarray | None = None
+    ) -> FogSegments:
+        """Of rays (N,), None for all. lamp : (2, N), or None, as above."""
         segments, which = rays.segments(ray)
         found = rays.media
         sigma, scattering = media.extinction, media.scattering
@@ -156,13 +207,12 @@ class FogSegments:
             own = found.ray[segments]
             origin, direction = take(origin, own), take(direction, own)
         bits = (origin + direction).view(np.uint64)
-        shift = unit_float(hash_combine(*(bits ^ bits >> np.uint64(32))))
         return FogSegments(
             which, origin, direction, found.start[segments], found.end[segments], found.depth[:, segments],
             found.inside[segments], mixture, sigma, scattering, media.anisotropy[used],
             np.where(colours, wide, np.inf).min(axis=0), np.where(colours, wide, 0).max(axis=0),
             None if rays.through is None else rays.through[:, segments],
-            shift,
+            hash_combine(*(bits ^ bits >> np.uint64(32))), None if lamp is None else take(lamp, which),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -174,8 +224,11 @@ class Lanes(ABC):
 
     segment : (n,) row, light : (n,) row, or (1,) of the only light.
     breaks : (B, n) ascending places s between which the integrand is smooth.
+    lit : (2, n), two of them outside of which it is next to nothing; None if that is not known.
     casts_shadow : (n,) or (1,) bool.
     shift : (n,) float32 in [0, 1), as if by chance, another one for each camera ray.
+    turn : (n,) the same, how lanes of one ray and light are staggered; None if there is but one.
+    several : (n,) how many pairs of lanes a ray and a light have; None if no more than one.
     """
 
     # What may have one entry for all lanes: these are not taken from then.
@@ -190,9 +243,12 @@ class Lanes(ABC):
         self.sigma = take(segments.sigma, self.mixture)
         self.casts_shadow = lights.casts_shadow.take(light)
         self.breaks = np.zeros((0, len(segment)))
+        self.lit: np.ndarray | None = None
         self.along = take(segments.direction, segment).astype(np.float32)
-        self.shift = segments.shift.take(segment)
+        self.shift = unit_float(segments.bits).take(segment)
         self.begin: np.ndarray | None = None
+        self.several: np.ndarray | None = None
+        self.turn: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.segment)
@@ -264,7 +320,11 @@ class AboutPoints(Lanes):
             # To the light's own space; what is outside of the cone, which is most, goes first.
             axes = -lights.axes.transpose(2, 0, 1)
             at_foot, along = ((axes @ v.swapaxes(0, -2)).swapaxes(0, 1) for v in (foot, segments.direction))
-            low, high = _within_cones(at_foot, along, lights.below[:, None], low, high)
+            all_of_it = at_foot
+            if lights.back.any():
+                all_of_it = at_foot.copy()
+                all_of_it[2] += lights.back[:, None]
+            low, high = within_cones(all_of_it, along, lights.below[:, None], low, high)
         thinnest = segments.thinnest.take(segments.mixture)
         high = np.where(high > low, _reached(low, high, distance, thinnest, closed), low)
         rows = np.flatnonzero(high > low)
@@ -274,16 +334,23 @@ class AboutPoints(Lanes):
             x = x.reshape(*x.shape[:-2], -1)
             return x if everything else x.take(rows, axis=-1)
 
+        pairs = np.ones(1, np.intp)
+        if is_spot and lights.several and lights.back.any():
+            back, below = (np.repeat(x, low.shape[1]).take(rows) for x in (lights.back, lights.below))
+            pairs = _pairs(flat(at_foot), flat(along), back, below, flat(low), flat(high))
+            if (pairs > 1).any():
+                rows, everything = np.repeat(rows, pairs), False
         light, segment = np.divmod(rows, low.shape[1])
         super().__init__(segments, lights, media, segment, light if len(lights) > 1 else light[:1])
         if len(rows) == 0:
             return
+        if pairs.max() > 1:
+            self.several = np.repeat(pairs, pairs)
+            self._pair = np.arange(len(rows)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
         foot, distance, low, high, begin = (flat(x) for x in (foot, distance, low, high, low + at))
         below, sharpness = (x.take(self.light) for x in (lights.below, lights.sharpness))
         if is_spot:
             at_foot, along = flat(at_foot), flat(along)
-            begins, ends = _within_cones(at_foot, along, below - 1 / sharpness, low, high)
-            inner = [np.where(ends > begins, x, low) for x in (begins, ends)]
         distance = np.maximum(distance, np.maximum(_NEAREST * np.maximum(-low, high), _TINY))
         m0, p0 = _ends(low, distance)
         m1, p1 = _ends(high, distance)
@@ -293,24 +360,29 @@ class AboutPoints(Lanes):
         if is_spot:
             length += low - flat(first)
         self._weight = np.exp(-(take(segments.depth, segment) + length * self.sigma)) * (step / distance)
+        if self.several is not None:
+            self._weight /= self.several
         if is_spot and lights.whole.any():
             nearest, whole = (x.take(self.light) for x in (lights.nearest, lights.whole))
             part = np.clip((distance - nearest) / np.maximum(whole - nearest, _TINY), 0, 1)
             self._weight *= np.where(whole > 0, part * part * (3 - 2 * part), 1)
-        self._set_breaks(inner, low, distance, m0, p0, step)
-        self._far = bool(np.abs(lights.position).max() > _NEAR)
+        self.sigma = self.sigma.astype(np.float32)
+        self._foot, self._distance = foot.astype(np.float32), distance.astype(np.float32)
         self._cone = None
-        if self._far or not np.all(self._closed):
-            self.begin = (take(segments.origin, segment) + take(segments.direction, segment) * begin).astype(
-                np.float32
-            )
         if is_spot:
             self._cone = np.stack([at_foot, along]).astype(np.float32)
             self._below, self._sharpness = (
                 np.broadcast_to(x, len(rows)).astype(np.float32) for x in (below, sharpness)
             )
-        self.sigma = self.sigma.astype(np.float32)
-        self._foot, self._distance = foot.astype(np.float32), distance.astype(np.float32)
+        self._choose_points()
+        if is_spot:
+            inner = self._dimming(at_foot, along, below, sharpness, low, high)
+        self._set_breaks(inner, low, distance, m0, p0, step)
+        self._far = bool(np.abs(lights.position).max() > _NEAR)
+        if self._far or not np.all(self._closed):
+            self.begin = (take(segments.origin, segment) + take(segments.direction, segment) * begin).astype(
+                np.float32
+            )
         self._over_p, self._over_m = (distance * step / x for x in (p0, m0))
         self._m, self._p = np.stack([m0, m1]).astype(np.float32), np.stack([p0, p1]).astype(np.float32)
         self._over_p, self._over_m = self._over_p.astype(np.float32), self._over_m.astype(np.float32)
@@ -319,10 +391,28 @@ class AboutPoints(Lanes):
     def weight(self):
         return self._weight
 
+    def _choose_points(self) -> None:
+        """On lights, where these have a size."""
+
+    def _dimming(
+        self,
+        at_foot: np.ndarray,
+        along: np.ndarray,
+        below: np.ndarray,
+        sharpness: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+    ) -> list[np.ndarray]:
+        """Places x (n,) between which a spot's light is smooth, ``low`` for none: where it begins to dim,
+        and of small ones, first of all, where there begins to be any.
+        """
+        begins, ends = within_cones(at_foot, along, below - 1 / sharpness, low, high)
+        return [np.where(ends > begins, x, low) for x in (begins, ends)]
+
     def _set_breaks(self, inner, low, distance, m0, p0, step) -> None:
         """Parts lanes where spots begin to dim, and where so much is absorbed that a new piece is due.
 
-        inner : [] or two (n,) places x.
+        inner : of `_dimming`.
         """
         sigma = np.broadcast_to(self._segments.densest.take(self.mixture), low.shape)
         p1 = np.maximum(p0 - step, _TINY)
@@ -339,7 +429,11 @@ class AboutPoints(Lanes):
             ends = (_ends(x, distance) for x in places)
             parts = [np.where(low > 0, p0 - p, m - m0) / step for m, p in ends]
             # In the thickest fog a lane may be too short to be parted: its places are 0 / 0.
-            self.breaks = np.sort(np.clip(np.nan_to_num(parts), 0, 1), axis=0)
+            parts = np.clip(np.nan_to_num(parts), 0, 1)
+            if len(inner) > 2 and self._lights.several:
+                # Next to a light this is too rough.
+                self.lit = parts[:2].copy()
+            self.breaks = np.sort(parts, axis=0)
 
     def _at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """m, p and s as float32: sums of what is positive, so that no digit is lost."""
@@ -364,7 +458,7 @@ class AboutPoints(Lanes):
             path = np.where(self._closed, 2 * path, ahead)
         else:
             path *= 2
-        depth = _columns(self.sigma, path.ndim) * path
+        depth = columns(self.sigma, path.ndim) * path
         if open_.size:
             # (3, Q, K)
             along, foot = (take(x, open_)[:, None] for x in (self.along, self._foot))
@@ -390,7 +484,10 @@ class AboutPoints(Lanes):
     def _attenuation(self, m: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Of spots: smoothstep of the cosine to the axis, by 1 - cos, which keeps its digits."""
         x = self._x(m, p)
-        u, v, z = (at_foot + along * x for at_foot, along in zip(*self._cone, strict=True))
+        return self._smoothstep(*(at_foot + along * x for at_foot, along in zip(*self._cone, strict=True)))
+
+    def _smoothstep(self, u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """The same of places (u, v, z) in the lights' own spaces."""
         across = u * u + v * v
         size = np.sqrt(across + z * z)
         below = across / np.maximum(size * (size + z), np.float32(1e-37))
@@ -466,7 +563,7 @@ def _rows(a: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(a.reshape(3, -1).T, np.float32)
 
 
-def _columns(a: np.ndarray, ndim: int) -> np.ndarray:
+def columns(a: np.ndarray, ndim: int) -> np.ndarray:
     """(C, n) as (C, ..., n), to go with arrays of ``ndim`` dimensions."""
     return a.reshape(len(a), *(1,) * (ndim - 1), a.shape[-1])
 
@@ -510,7 +607,30 @@ def _reached(low, high, distance, sigma, closed) -> np.ndarray:
     return np.minimum(high, at)
 
 
-def _within_cones(
+def _pairs(
+    at_foot: np.ndarray,
+    along: np.ndarray,
+    back: np.ndarray,
+    below: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> np.ndarray:
+    """(n,) int, pairs of points of a spot that a ray looks from; as `within_cones`, and ``back`` of lights.
+
+    The mean of two opposite chords of a circle that moves differs by (1 - part)^2 / 8 from the chord of the
+    one in the middle, with the part of the longest chord that is common to all.
+    """
+    common = at_foot.copy()
+    common[2] -= back
+    begins, ends = within_cones(common, along, below, low, high)
+    part = np.maximum(ends - begins, 0) / (high - low)
+    pairs = np.ones(len(part), np.intp)
+    for most, count in GRAZING:
+        pairs[part < most] = count
+    return pairs
+
+
+def within_cones(
     at_foot: np.ndarray, along: np.ndarray, below: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """From where to where, between ``low`` and ``high`` (...), lines are in cones about z; never if the

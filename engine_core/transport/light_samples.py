@@ -49,7 +49,8 @@ class LightSamples:
 class SceneLights(Lights):
     """Every light of a scene, numbered group after group.
 
-    casts_shadow : (L,) bool. any_mesh : whether one is a mesh. only_points : whether none has a size.
+    casts_shadow, sized : (L,) bool, and whether it has a size. any_mesh : whether one is a mesh.
+    only_points : whether none has a size.
     chooses_triangle : whether one has several triangles, one of which must be chosen.
     """
 
@@ -62,7 +63,7 @@ class SceneLights(Lights):
         self.only_points = all(group.is_point for group in groups)
         counts = [len(group) for group in groups]
         self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)
-        self._sizeless = self._of_groups("size", np.float64) == 0
+        self.sized = self._of_groups("size", np.float64) > 0
         self.casts_shadow = self._of_groups("casts_shadow", bool)
         self._strength = np.concatenate(
             [np.zeros((3, 0), np.float32)] + [group.strength for group in groups], axis=1
@@ -265,8 +266,8 @@ class SceneLights(Lights):
                 density[part] = group.pdf_of_triangle(triangle, *where)
             else:
                 density[part] = group.pdf(which, *where)
-        if self._sizeless.any():
-            density[self._sizeless.take(0 if light is None else light)] = np.inf
+        if not self.sized.all():
+            density[~self.sized.take(0 if light is None else light)] = np.inf
         return density
 
     # -- met ---------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All light that fog scatters along a camera ray, of lights without size: points, spots, distant suns.
+"""All light that fog scatters along a camera ray, of lights without size and small ones: points, spots, suns.
 
 What is seen and what is smooth are integrated apart. Shadow rays to a few *nodes* tell where along a segment
 a light is seen; between two that differ, bisection finds the shadow's edge. All other factors are one smooth
@@ -8,6 +8,8 @@ function of the place, a polynomial through Gauss-Legendre points; its antideriv
 The unbiased estimate adds rays: one in the last bracket of each edge, and a few anywhere, where the
 integrand is compared with the polynomial times the visibility that was found. Of many lights most bring
 little of what a ray brings in all: these have but a few points, evenly spread, whose errors even out.
+
+A small light is a pair of points for each ray, opposite ones, and two more dimensions say which.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ from ..integration.inner_rules import InnerRule, Nodes
 from ..integration.rules import gauss
 from .around_light import Tamed
 from .direct_light import SHADOW
-from .fog_lanes import POINT, SPOT, SUN, AboutPoints, BareLights, FogSegments, Lanes, TowardsSuns
+from .fog_lanes import BARE, POINT, SPOT, SUN, BareLights, FogSegments, Lanes
 from .fog_rays import FogRays
 from .single_scattering import Scattered, SingleScattering
+from .soft_lanes import LANES
 
 NODES, NODES_OF_SPOTS = 33, 17
 """Where visibility is asked for in a lane, which of spots is in their cones: what is thinner than a step may
@@ -68,6 +71,12 @@ _BATCH = 1 << 17
 _LANES = 1 << 16
 """Lanes at once, about, of rays that need all of theirs."""
 
+FEW_OF_SEVERAL = 4
+"""How many times fewer checks each of so many pairs of lanes of one ray and light has."""
+
+Looks = tuple[int, int]
+"""Nodes and checks of a lane."""
+
 _GOLDEN = (5**0.5 - 1) / 2
 
 _MIDDLE = np.full((1, 1), 0.5)
@@ -84,9 +93,9 @@ def nodes_and_checks(lights: int) -> tuple[int, int]:
 
 
 class ScatteredAlongRay(Scattered):
-    """The light of lights without size that a whole camera ray brings.
+    """The light of lights without size, and of small ones, that a whole camera ray brings.
 
-    At u (2, N) it is an unbiased estimate, `along` is nearly so, and has no noise.
+    At u (D, N) it is an unbiased estimate; `along` is nearly so, and has no noise but of small lights.
     """
 
     rest_dimensions = 2
@@ -101,22 +110,30 @@ class ScatteredAlongRay(Scattered):
         tamed: Tamed | None = None,
         checks: int | None = None,
         samples_too: bool = False,
+        several: bool = True,
     ) -> None:
-        """lights : (L,) numbers of those without size, None for all of these. nodes, checks : of each lane,
-        None for as many as so many lights have.
+        """lights : (L,) numbers of those meant, None for all without size.
+        nodes, checks : along a ray for each of them, None for as many as so many lights have.
 
         tamed : what `along` leaves of the light next to where it comes from; None for all.
-        samples_too : whether samples leave no more.
+        samples_too : whether samples leave no more. several : as in `BareLights`.
         """
         super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
         self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
+        self._bare.several = several
+        self._small = bool((self._bare.shape != BARE).any())
+        if self._small:
+            self.rest_dimensions += 2
         self._tamed = self._bare
         if tamed is not None:
             self._tamed = self._taming(tamed)
         if samples_too:
             self._bare = self._tamed
-        usual = nodes_and_checks(len(self._lights))
-        nodes, self._checks = nodes or usual[0], checks or usual[1]
+        # A pair of points shares most of the work.
+        usual, pair = nodes_and_checks(len(self._lights)), 1 + self._small
+        nodes = _fewer_nodes(nodes, pair) if nodes else usual[0]
+        nodes_of_spots = _fewer_nodes(nodes_of_spots, pair)
+        self._checks = max(1, (checks or usual[1]) // pair)
         if len(self._lights) > ALL:
             nodes, nodes_of_spots = (min(n, NODES_OF_MANY) for n in (nodes, nodes_of_spots))
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
@@ -124,10 +141,12 @@ class ScatteredAlongRay(Scattered):
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
         self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind
+        # To each light.
+        self.nodes, self.checks = nodes * pair, self._checks * pair
         self.shadow_rays = sum(int((kinds == kind).sum()) * n for kind, n in self._nodes.items())
 
     def _taming(self, tamed: Tamed) -> BareLights:
-        nearest, whole = (x[self._lights] for x in (tamed.nearest, tamed.whole))
+        nearest, whole = (x[self._bare.number] for x in (tamed.nearest, tamed.whole))
         return replace(self._bare, nearest=nearest, whole=whole)
 
     def rest(
@@ -164,15 +183,13 @@ class ScatteredAlongRay(Scattered):
         radiance, told = np.zeros((3, count)), np.zeros((2, count))
         if count == 0:
             return radiance, told
-        segments = FogSegments.of(rays, lane, self._scattering.media)
+        segments = FogSegments.of(rays, lane, self._scattering.media, self._lamp(u))
         edged = []
-        for kind, lanes in self._lanes(segments, lights):
+        for looks, lanes in self._lanes(segments, lights):
             if len(lanes) == 0:
                 continue
             ray = segments.ray.take(lanes.segment)
-            value, error, edges = self._integral(
-                lanes, self._nodes[kind], None if u is None else u.take(ray, axis=1)
-            )
+            value, error, edges = self._integral(lanes, looks, None if u is None else u.take(ray, axis=1))
             whole = lanes.radiance(value)
             # Of several lights and rays that see none, there may be as many.
             if len(ray) == count and (ray == np.arange(count)).all():
@@ -193,7 +210,7 @@ class ScatteredAlongRay(Scattered):
     def _of_many(self, rays: FogRays, lane: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Radiance (3, N) of many lights at u (2, N): of each that brings little by a few points."""
         count = len(lane)
-        segments = FogSegments.of(rays, lane, self._scattering.media)
+        segments = FogSegments.of(rays, lane, self._scattering.media, self._lamp(u))
         every = [found for found in self._lanes(segments, self._bare, True) if len(found[1])]
         of = [segments.ray.take(lanes.segment) for _, lanes in every]
         bright, total = [], np.zeros(count)
@@ -202,18 +219,20 @@ class ScatteredAlongRay(Scattered):
             total += np.bincount(ray, bright[-1], count)
         total /= ALL
         radiance = np.zeros((3, count))
-        for (kind, lanes), ray, unshadowed in zip(every, of, bright, strict=True):
+        for (looks, lanes), ray, unshadowed in zip(every, of, bright, strict=True):
             much = unshadowed > total.take(ray)
             for by_few, rows in ((True, np.flatnonzero(~much)), (False, np.flatnonzero(much))):
                 if len(rows) == 0:
                     continue
                 some, own = (lanes, ray) if len(rows) == len(lanes) else (lanes.take(rows), ray.take(rows))
                 at = u.take(own, axis=1)
-                value = (
-                    self._by_few(some, at[-1]) if by_few else self._integral(some, self._nodes[kind], at)[0]
-                )
+                value = self._by_few(some, at[0]) if by_few else self._integral(some, looks, at)[0]
                 radiance += [np.bincount(own, channel, count) for channel in some.radiance(value)]
         return self._bounded(radiance)
+
+    def _lamp(self, u: np.ndarray | None) -> np.ndarray | None:
+        """Those of all dimensions of u (D, N) that are on lights; None for none."""
+        return u[-2:] if self._small and u is not None else None
 
     def _by_few(self, lanes: Lanes, u: np.ndarray) -> np.ndarray:
         """(G, C, n) integrals of `Lanes.smooth` times visibility, by a point in each part, at u (n,)."""
@@ -227,27 +246,41 @@ class ScatteredAlongRay(Scattered):
 
     def _lanes(
         self, segments: FogSegments, bare: BareLights, whole: bool = False
-    ) -> Iterator[tuple[int, Lanes]]:
-        """Lanes of all kinds of lights, in batches; of a kind at once if ``whole``."""
-        for kind, make in ((POINT, AboutPoints), (SPOT, AboutPoints), (SUN, TowardsSuns)):
-            rows = np.flatnonzero(bare.kind == kind)
+    ) -> Iterator[tuple[Looks, Lanes]]:
+        """Lanes of all kinds of lights, in batches, and how many rays these have; of a kind at once if
+        ``whole``.
+        """
+        for (kind, shape), make in LANES.items():
+            rows = np.flatnonzero((bare.kind == kind) & (bare.shape == shape))
             step = max(1, _BATCH // (self._nodes[kind] * max(len(segments), 1)))
             step = max(len(rows), 1) if whole else step
             for low in range(0, len(rows), step):
                 lights = bare.take(rows[low : low + step])
-                yield kind, make(segments, lights, self._scattering.media)
+                lanes = make(segments, lights, self._scattering.media)
+                looks = self._nodes[kind], self._checks
+                if lanes.several is None:
+                    yield looks, lanes
+                    continue
+                for count in np.unique(lanes.several):
+                    # With fewer nodes each might miss the same shadow.
+                    checks = max(1, looks[1] // min(count, FEW_OF_SEVERAL))
+                    yield (looks[0], checks), lanes.take(np.flatnonzero(lanes.several == count))
 
     def _integral(
-        self, lanes: Lanes, nodes: int, u: np.ndarray | None
+        self, lanes: Lanes, looks: Looks, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """(G, C, n) integrals of `Lanes.smooth` times visibility over s, for u (2, n); None for none.
 
         Without a u, also what deviation the last brackets of shadows leave, and how many edges these have
         (n,); None for 0.
         """
+        nodes, checks = looks
         pieces = _Pieces(lanes, self._quadrature)
         # Samples of a pixel divide the work: their checks are evenly spread in steps that are the same.
         shift = lanes.shift if u is None else np.full(len(lanes), 0.5, np.float32)
+        if lanes.turn is not None:
+            shift = _wrapped(shift + lanes.turn)
+            u = None if u is None else _wrapped(u[:2] + lanes.turn)
         s = _places(nodes, shift)
         seen = self._seen(lanes, s)
         result = pieces.whole * seen[-1]
@@ -270,14 +303,14 @@ class ScatteredAlongRay(Scattered):
                 error = _sums(lane, rough * rough, len(lanes))
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
                 lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
-                error += pieces.whole**2 * (lone / (nodes * self._checks))
+                error += pieces.whole**2 * (lone / (nodes * checks))
                 error, edges = np.sqrt(error), np.bincount(lane, minlength=len(lanes))
             else:
                 at = low + (high - low) * u[0].take(lane)
                 change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
             result += _sums(lane, change, len(lanes))
         if u is not None:
-            result += self._checked(lanes, pieces, shift, seen, (step, lane, low, high), u[1])
+            result += self._checked(lanes, pieces, shift, seen, (step, lane, low, high), checks, u[1])
         return result, error, edges
 
     def _checked(
@@ -287,6 +320,7 @@ class ScatteredAlongRay(Scattered):
         shift: np.ndarray,
         seen: np.ndarray,
         edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        checks: int,
         u: np.ndarray,
     ) -> np.ndarray:
         """(G, C, n) what is missing where nodes say ``seen`` (K, n), by a few rays placed by u (n,).
@@ -294,8 +328,8 @@ class ScatteredAlongRay(Scattered):
         edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
         # Rays ask what is seen at places in each part of a lane; how right the polynomial is needs but one.
-        part = np.arange(self._checks, dtype=np.float32)[:, None]
-        at = np.concatenate([u[None], (u + part) / self._checks])
+        part = np.arange(checks, dtype=np.float32)[:, None]
+        at = np.concatenate([u[None], (u + part) / checks])
         steps, here = len(seen) - 1, np.arange(len(lanes))
         cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
         believed, known = seen[cell, here], np.ones(at.shape, bool)
@@ -317,7 +351,7 @@ class ScatteredAlongRay(Scattered):
         wrong, lane = np.nonzero((self._seen(lanes, at[1:]) != believed[1:]) & known[1:])
         if lane.size:
             change = lanes.take(lane).smooth(at[1 + wrong, lane])
-            share = np.float32(1 / self._checks)
+            share = np.float32(1 / checks)
             change *= np.where(believed[1 + wrong, lane], -share, share)
             missing += _sums(lane, change, len(lanes))
         return missing
@@ -353,8 +387,10 @@ class PointsOfRay(ScatteredAlongRay):
         super().__init__(scattering, lights, check, points, points, tamed, samples_too=tamed is not None)
         self._few = FEWER
 
-    def _integral(self, lanes: Lanes, nodes: int, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
-        s = (np.arange(nodes, dtype=np.float32)[:, None] + u[0]) / nodes
+    def _integral(self, lanes: Lanes, looks: Looks, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
+        nodes, _ = looks
+        at = u[0] if lanes.turn is None else _wrapped(u[0] + lanes.turn)
+        s = (np.arange(nodes, dtype=np.float32)[:, None] + at) / nodes
         np.minimum(s, _LAST, out=s)
         value = lanes.smooth(s)
         value *= self._seen(lanes, s)
@@ -383,7 +419,7 @@ class NextToLight(PointsOfRay):
         lane = np.arange(len(rays)) if lane is None else lane
         if lane.size < u[0].size:
             lane = np.repeat(lane, split)
-        away = self._bare.position - take(rays.origin, lane)
+        away = self._bare.position[:, :1] - take(rays.origin, lane)
         direction = take(rays.direction, lane)
         away -= dot(away, direction) * direction
         which = np.flatnonzero(dot(away, away) < self._reach**2)
@@ -422,6 +458,10 @@ class AlongRay(InnerRule):
         return values, told, count * self._cost
 
 
+def _fewer_nodes(nodes: int, times: int) -> int:
+    return max(2, (nodes - 1) // times + 1)
+
+
 def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
     """(K, n) where in lanes visibility is asked for: at both ends, and by even steps, shifted (n,), between.
 
@@ -430,6 +470,11 @@ def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
     s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
     s[0], s[-1] = _INSET, 1 - _INSET
     return s
+
+
+def _wrapped(u: np.ndarray) -> np.ndarray:
+    """Modulo 1."""
+    return u - np.floor(u)
 
 
 def _sums(lane: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -499,7 +544,11 @@ class _Pieces:
         n = len(lanes)
         edge = np.concatenate([np.zeros((1, n)), lanes.breaks, np.ones((1, n))])
         length = np.diff(edge, axis=0)
-        piece, lane = np.nonzero(length > 0)
+        some = length > 0
+        if lanes.lit is not None:
+            lit = some & (edge[1:] > lanes.lit[0]) & (edge[:-1] < lanes.lit[1])
+            some = lit if lit.any() else some
+        piece, lane = np.nonzero(some)
         self._number = np.full(length.shape, -1)
         self._number[piece, lane] = np.arange(len(lane))
         self._low, self._length = edge[piece, lane], length[piece, lane]
@@ -530,10 +579,13 @@ class _Pieces:
             return self._quadrature.value(values, s)
         if s.ndim == 2:
             return np.stack([self.value(lane, one) for one in s], axis=2)
-        row = np.zeros(len(s), np.intp)
+        row = np.full(len(s), -1)
         for number in self._number:
             of = number if lane is None else number.take(lane)
-            row = np.where((of >= 0) & ((s >= self._low.take(of)) | (row < 0)), of, row)
+            row = np.where((of >= 0) & (s >= self._low.take(of)), of, row)
         length = self._length.take(row)
-        place = np.clip((s - self._low.take(row)) / length, 0, 1)
-        return self._quadrature.value(self._values.take(row, axis=-1), place) / length.astype(np.float32)
+        place = (s - self._low.take(row)) / length
+        value = self._quadrature.value(self._values.take(row, axis=-1), np.clip(place, 0, 1))
+        # Between pieces there is nothing.
+        value /= np.where((row >= 0) & (place <= 1 + 1e-9), length, np.inf).astype(np.float32)
+        return value

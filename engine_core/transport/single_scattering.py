@@ -28,7 +28,7 @@ from .camera_hits import Pixels
 from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .distance_maps import EquiAngular, within_depth
-from .emitters import PointEmitters, SunEmitters
+from .emitters import DiskEmitters, PointEmitters, SphereEmitters, SunEmitters
 from .fog_rays import FogRays, Layers, in_layers, taken
 from .light_choice import CELL, WEIGHED, pilot_points
 from .light_choice_in_fog import AirLights, CellsOfPicture, FogChoice, fog_clusters, segments
@@ -45,8 +45,8 @@ class SingleScattering:
     """What all estimates of light scattered once share, and all threads.
 
     screen_dimensions : 2 of a pixel, and 2 of a lens.
-    sizeless, sized : numbers of the lights without size, which `ray_rule` takes, and of all others, but
-        for those that no fog gets light of.
+    sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others; and of
+        those among these that it takes, too. Lights that no fog gets light of are in none.
     """
 
     def __init__(
@@ -64,15 +64,19 @@ class SingleScattering:
         self._shader, self._crossings = shader, settings.transparent_bounces
         self.shadows = Shadows(surfaces, shader, settings.transparent_bounces)
         self.screen_dimensions = rays.dimensions
-        bare = np.zeros(len(lights), bool)
+        bare, small = np.zeros((2, len(lights)), bool)
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             if isinstance(group, PointEmitters | SunEmitters):
                 bare[start:stop] = group.size == 0
+            small[start:stop] = isinstance(group, DiskEmitters | SphereEmitters)
         # Whole rays know but light and dark: where shadows are coloured, points are sampled.
         bare &= not surfaces.any_transparent
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
-        self.sizeless, self.sized = np.flatnonzero(bare & reaches), np.flatnonzero(~bare & reaches)
+        small &= not surfaces.any_transparent
+        self.sizeless, self.sized, self.small = (
+            np.flatnonzero(some & reaches) for some in (bare, ~bare, small)
+        )
         self.cones = AirLights(lights)
         # Of each light's middle, inside which fogs it is.
         self.light_state = np.zeros(len(lights), np.uint64)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole rays of small lights in fog: against points of the same lights, and how much they leave to chance."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes import assert_picture_is_sound
+from test_engine_fog import LIGHT, OCCLUDER, THIN, bounds, fog, rays_of, spot_at
+from test_engine_fog_pictures import OUTSIDE, downwards, scene
+
+from engine_core import PointLight, Scene, Settings, SpotLight, Volume, parts, render, screen_picture
+from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
+from engine_core.transport.scattered_light import ScatteredLight
+
+DENSE = Volume(scattering=(0.9, 0.5, 0.3), absorption=0.1, anisotropy=-0.4)
+AIMED = (0.0, 0.0, -2.5)
+BEFORE = (0.05, 0.1, -1.5)
+
+
+def disk(radius, position=LIGHT) -> PointLight:
+    return PointLight(30.0, position=tuple(position), radius=radius, sphere=False)
+
+
+def ball(radius, position=LIGHT) -> PointLight:
+    return PointLight(30.0, position=tuple(position), radius=radius)
+
+
+NESTED = (bounds((-1.6, -1.4, -4), (1.4, 1.3, 0.3)), bounds((0.5, -0.5, -2.2), (1.9, 0.9, -1.2), 1))
+CASES = {
+    "disk": (disk(0.1), 0, ()),
+    "ball": (ball(0.1), 0, ()),
+    "wide disk": (disk(0.6), 0, ()),
+    "wide ball": (ball(0.6), 0, ()),
+    "disk before the camera": (disk(0.2, BEFORE), 0, ()),
+    "ball before the camera": (ball(0.2, BEFORE), 0, ()),
+    "spot": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, sphere=False, angle=1.0, blend=0.3), 0, ()),
+    "sharp spot": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, angle=0.8, blend=0.0), 0, ()),
+    "spot before the camera": (
+        spot_at(BEFORE, (1, 0, -2), power=30.0, radius=0.1, angle=0.8, blend=0.2),
+        0,
+        (),
+    ),
+    "light partly in a box": (ball(0.3, (1.2, 0.2, -1.5)), -1, NESTED[:1]),
+    "fog in fog": (disk(0.2), -1, NESTED),
+    "far away": (ball(60.0, (900.0, 700.0, -1000.0)), -1, NESTED[:1]),
+}
+
+
+def mean(integrand, rays, each: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) means of channels' sums, and their standard errors."""
+    u = np.random.default_rng(seed).random((integrand.rest_dimensions, len(rays), each), np.float32)
+    which, values = integrand.rest(rays, None, u)
+    assert np.isfinite(values).all()
+    values = values.sum(axis=0, dtype=np.float64)
+    if which is not None:
+        values = np.bincount(which, values, len(rays) * each)
+    values = values.reshape(len(rays), each)
+    return values.mean(axis=1), values.std(axis=1) / each**0.5
+
+
+def of_case(name: str, sampling="auto"):
+    light, world, meshes = CASES[name]
+    made = fog([light], [THIN, DENSE], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
+    assert len(made.small) == 1 and len(made.sizeless) == 0
+    return made
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_whole_rays_are_unbiased(name):
+    made = of_case(name)
+    whole, points = (kind(made, made.small) for kind in (ScatteredAlongRay, PointsOfRay))
+    rays = rays_of(whole, 48)
+    single, error = mean(ScatteredLight(made, made.small), rays, 20_000, 1)
+    for integrand, each in ((whole, 400), (points, 1500)):
+        ours, own = mean(integrand, rays, each, 2)
+        both = np.hypot(error, own)
+        assert abs(ours.sum() - single.sum()) < 4 * np.sqrt(np.square(both).sum())
+        # A few rays see what is rare, of which variance tells too little.
+        assert np.quantile(np.abs(ours - single) / np.maximum(both, 1e-3 * single.max()), 0.9) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "less", "by"),
+    [("disk", 25, 0.01), ("ball", 12, 0.03), ("spot", 25, 0.08), ("sharp spot", 8, 0.08)],
+)
+def test_opposite_points_leave_little_to_chance(name, less, by):
+    """Of a sample, against one of a point; and of what nodes say."""
+    made = of_case(name)
+    whole = ScatteredAlongRay(made, made.small)
+    rays = rays_of(whole, 200)
+    truth, error = mean(whole, rays, 256, 3)
+    _, of_points = mean(ScatteredLight(made, made.small), rays, 256, 3)
+    assert np.square(of_points).sum() > less**2 * np.square(error).sum()
+    by_nodes = whole.along(rays, None)[0].sum(axis=0)
+    assert np.sqrt(np.square(by_nodes - truth).mean()) < by * truth.mean()
+
+
+LIT = scene(
+    PointLight(300.0, position=OUTSIDE, radius=0.1),
+    SpotLight(800.0, light_to_world=downwards(), angle=0.6, blend=0.2, radius=0.08),
+)
+
+
+@cache
+def blocks(samples: int, seeds: range, integrator: str) -> np.ndarray:
+    """(S, K) sums of channels of fog, in blocks of pixels."""
+    found = []
+    for seed in seeds:
+        radiance = render(LIT, Settings(samples, seed=seed, integrator=integrator, threads=2)).volume
+        found.append(radiance.sum(axis=-1, dtype=np.float64).reshape(4, 8, 6, 8).mean(axis=(1, 3)).ravel())
+    return np.stack(found)
+
+
+@pytest.mark.parametrize("where", ["small", "given up"])
+def test_pictures_are_unbiased(where, monkeypatch):
+    """Blocks of the mean over seeds; by a net where polynomials are given up."""
+    if where == "given up":
+        monkeypatch.setattr(screen_picture, "HOPELESS", ((0.0, -1.0),))
+        monkeypatch.setattr(screen_picture, "EVERYWHERE", -1.0)
+    film = render(LIT, Settings(1))
+    told = film.statistics["fog lit by small lights"]
+    assert told == "built" if where == "small" else told.startswith("about")
+    assert_picture_is_sound(film)
+
+    ours, truth = blocks.__wrapped__(1, range(16), "control_variates"), blocks(64, range(8), "sobol")
+    error = sum(a.var(axis=0, ddof=1) / len(a) for a in (ours, truth))
+    error += np.square(1e-3 * truth.mean())
+    z = (ours.mean(axis=0) - truth.mean(axis=0)) / np.sqrt(error)
+    assert np.sqrt(np.square(z).mean()) < 1.6 and np.abs(z).max() < 5
+    wholes = [a.mean(axis=1) for a in (ours, truth)]
+    error = np.sqrt(sum(a.var(ddof=1) / len(a) for a in wholes))
+    assert abs(wholes[0].mean() - wholes[1].mean()) < 4 * error
+
+
+def test_what_serves_lights_goes_by_their_size():
+    def told(radius: float, lights: int = 1) -> set[str]:
+        lamps = [PointLight(300.0, position=(x, 1.5, 4.5), radius=radius) for x in np.arange(lights) / 9]
+        return {name for name in render(scene(*lamps), Settings(1)).statistics if name.startswith("fog")}
+
+    assert told(0.0) == {"fog lit by points"}
+    assert told(0.1) == {"fog lit by small lights"}
+    assert told(0.5) == told(0.1, parts.MOST_SMALL + 1) == {"fog lit by lights"}
+    film = render(scene(ball(0.1), disk(0.5)), Settings(1))
+    assert {"fog lit by small lights", "fog lit by lights"} <= set(film.statistics)
+
+
+def test_where_no_ray_meets_fog_nothing_is_small():
+    made = scene(PointLight(300.0, position=OUTSIDE, radius=0.1))
+    away = Scene(
+        made.camera, [bounds((50, 50, 50), (51, 51, 51))], [*made.materials], made.lights, volumes=[THIN]
+    )
+    film = render(away, Settings(1))
+    assert not film.volume.any()

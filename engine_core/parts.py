@@ -69,7 +69,7 @@ LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 4, 32
 than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
 know where it is."""
 
-SMALL, MOST_SMALL = 0.05, 16
+SMALL, MOST_SMALL = 0.05, 128
 """Radius of a light over its distance of rays, of half of these at most, so that whole rays see it as a few
 points; wider ones have nets. And lights up to which that is done."""
 

@@ -10,6 +10,7 @@ no sample at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -91,6 +92,9 @@ DARK = 1 / 16
 
 STEP = 0.05
 """Between nodes of a region with an outline in it, of the nodes' mean: no polynomial goes up one."""
+
+NOTHING = 0.1
+"""Of what others' nodes see at a region's edge, the most that its own see if they are to have missed it."""
 
 AT_OUTLINES = 8
 """Samples that pixels which an outline crosses have at most before it is known how much they deviate, a power
@@ -260,6 +264,8 @@ class ScreenPicture:
         step = np.ptp(coefficients, axis=1).sum(axis=1)
         has_outline[:-1] &= step > STEP * CHANNELS * np.abs(coefficients).mean()
         has_outline[:-1] |= _hidden(leaves, self._wedges, self._corner)
+        bright = np.abs(coefficients.sum(axis=2))
+        has_outline[:-1] |= _contradicted(leaves, bright, self._region, STEP * bright.mean())
         if met is not None:
             crossed = np.unique(self._region.T[of_bodies(met)])
             has_outline[crossed] |= _overlooked(leaves[crossed], met)
@@ -535,6 +541,34 @@ def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) 
         aside = [((side * first > 0) & (side * second > 0)).any(axis=(1, 2)) for side in (1, -1)]
         hidden |= aside[0] & aside[1] & ~seen.any(axis=(1, 2))
     return hidden
+
+
+def _contradicted(regions: Regions, bright: np.ndarray, region: np.ndarray, least: float) -> np.ndarray:
+    """(R,) bool, regions whose nodes see nothing of what nodes of their neighbours see at their edges.
+
+    bright : (R, 9) radiance that nodes see, channels summed. region : (H, W) which of them pixels are of, -1
+    for none. least : radiance that is worth a look.
+    """
+    contradicted = np.zeros(len(regions), bool)
+    own, node = np.nonzero(bright > least)
+    if own.size == 0:
+        return contradicted
+    value, brightest = bright[own, node], bright.max(axis=1)
+    height, width = region.shape
+    x, y = (
+        (regions.start[d].take(own) + (place << regions.size[d].take(own).astype(np.int64)) / 2) / (1 << BIN)
+        for d, place in enumerate(np.divmod(node, 3))
+    )
+    # Pixels to either side of a node.
+    for column, row in product(
+        *((np.floor(a).astype(np.intp), np.ceil(a).astype(np.intp) - 1) for a in (x, y))
+    ):
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        there = np.flatnonzero(inside)
+        of = region[row.take(there), column.take(there)]
+        seen = (of >= 0) & (brightest.take(of, mode="wrap") < NOTHING * value.take(there))
+        contradicted[of[seen]] = True
+    return contradicted
 
 
 def _overlooked(regions: Regions, met: np.ndarray) -> np.ndarray:

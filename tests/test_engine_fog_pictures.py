@@ -331,6 +331,20 @@ def test_fog_behind_a_spot_is_dark(by_net, monkeypatch):
         assert np.abs(made_of_few[dark]).max() < 1e-3 * whole.mean()
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+def test_regions_none_of_whose_nodes_are_lit_make_no_patch(radius):
+    """A long one beside a lamp's beam that ends before it and behind it: its neighbours see the light."""
+    lamp = SpotLight(500.0, light_to_world=downwards((0.2, 0.5, 1.9)), angle=1.2, blend=0.4, radius=radius)
+    camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 192, 128, 0.8, clip_start=0.1)
+    made = replace(scene(lamp), camera=camera)
+    truth = render(made, Settings(16)).volume.sum(axis=-1)
+    y, x = np.indices(truth.shape)
+    away = np.hypot(y - 107, x - 103) > 8
+    for seed in range(3):
+        off = np.abs(render(made, Settings(1, seed=seed)).volume.sum(axis=-1) - truth)
+        assert off[away].max() < 12 * truth.mean()
+
+
 @pytest.mark.parametrize("radius", [0.0, 0.02])
 def test_narrow_beams_are_sampled_by_themselves(radius):
     def outlines(angle):

@@ -244,7 +244,7 @@ def _of_fog(
 ) -> list[Part]:
     by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
     parts, rest, elsewhere, calm = [], scattering.sized, None, None
-    bare, small, choice = scattering.sizeless, scattering.small, None
+    bare, small = scattering.sizeless, scattering.small
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     small = small[_of_distance(scattering, small, region) < SMALL] if by_net else small[:0]
@@ -260,9 +260,7 @@ def _of_fog(
                 ScatteredAlongRay(scattering, of_rays, check, looks, looks, checks=checks, several=False)
             )
         if (of_rest := np.setdiff1d(np.intersect1d(lights, rest), small)).size:
-            found.append(
-                ScatteredLight(scattering, of_rest, choice if len(of_rest) == len(rest) else None, check)
-            )
+            found.append(ScatteredLight(scattering, of_rest, None, check))
         return found
 
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
@@ -358,7 +356,7 @@ def _of_fog(
 
 
 def _of_distance(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
-    """(L,) radii of lights (L,) over the median distance of rays through fog; inf where there is none."""
+    """(L,) radii of lights (L,) over the median distance of rays' segments of fog; inf for none."""
     if lights.size == 0:
         return np.zeros(0)
     x0, y0, x1, y1 = region

@@ -12,6 +12,7 @@ from test_engine_fog import LIGHT, OCCLUDER, THIN, bounds, fog, rays_of, spot_at
 from test_engine_fog_pictures import OUTSIDE, downwards, scene
 
 from engine_core import PointLight, Scene, Settings, SpotLight, Volume, parts, render, screen_picture
+from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
 
@@ -36,6 +37,8 @@ CASES = {
     "wide ball": (ball(0.6), 0, ()),
     "disk before the camera": (disk(0.2, BEFORE), 0, ()),
     "ball before the camera": (ball(0.2, BEFORE), 0, ()),
+    "disk on the view's axis": (disk(0.1, (0, 0, -1.8)), 0, ()),
+    "ball on the view's axis": (ball(0.1, (0, 0, -1.8)), 0, ()),
     "spot": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, sphere=False, angle=1.0, blend=0.3), 0, ()),
     "sharp spot": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, angle=0.8, blend=0.0), 0, ()),
     "spot before the camera": (
@@ -82,6 +85,41 @@ def test_whole_rays_are_unbiased(name):
         assert np.quantile(np.abs(ours - single) / np.maximum(both, 1e-3 * single.max()), 0.9) < 2.5
 
 
+@pytest.mark.parametrize("light", [disk, ball])
+@pytest.mark.parametrize("aside", [0.0, 1e-6, 1e-3, 0.3, 1.0])
+def test_rays_through_a_lamp_see_what_its_points_bring(light, aside):
+    """None of it is the peak that one without size would have there."""
+    made = fog([light(0.1, (0.1 * aside, 0, -2))], [THIN], 0, clip_end=5.0)
+    whole, single = (kind(made, made.small) for kind in (ScatteredAlongRay, ScatteredLight))
+    middle = Pixels(*np.full((2, 8), 16, np.int32), np.zeros(8, np.int32))
+    rays = whole.first(middle, np.zeros((2, 8, 1), np.float32))
+    (ours, own), (truth, error) = mean(whole, rays, 4000, 4), mean(single, rays, 20_000, 5)
+    assert abs(ours.mean() - truth.mean()) < 4 * np.sqrt(np.square([own, error]).mean() / 4)
+    by_nodes, told = whole.along(rays, None)
+    assert np.isfinite(told).all() and abs(by_nodes.sum(axis=0).mean() / truth.mean() - 1) < 0.25
+    assert whole.counts["non-finite samples"] == 0
+
+
+def test_lights_of_next_to_no_size_are_as_bright_as_without():
+    def bright(radius: float) -> float:
+        spot = SpotLight(800.0, light_to_world=downwards(), angle=0.6, radius=radius)
+        return float(
+            render(scene(PointLight(300.0, position=OUTSIDE, radius=radius), spot), Settings(4)).volume.mean()
+        )
+
+    for radius in (1e-9, 1e-20, 1e-30):
+        assert bright(radius) == pytest.approx(bright(0.0), rel=0.01)
+
+
+def test_nodes_say_the_same_by_themselves_and_among_others():
+    made = of_case("spot before the camera")
+    whole = ScatteredAlongRay(made, made.small)
+    rays = rays_of(whole, 120)
+    together = whole.along(rays, None)[0]
+    alone = [whole.along(rays, np.array([number]))[0] for number in range(len(rays))]
+    np.testing.assert_allclose(np.concatenate(alone, axis=1), together, rtol=1e-4, atol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("name", "less", "by"),
     [("disk", 25, 0.01), ("ball", 12, 0.03), ("spot", 25, 0.08), ("sharp spot", 8, 0.08)],
@@ -125,7 +163,7 @@ def test_pictures_are_unbiased(where, monkeypatch):
     assert told == "built" if where == "small" else told.startswith("about")
     assert_picture_is_sound(film)
 
-    ours, truth = blocks.__wrapped__(1, range(16), "control_variates"), blocks(64, range(8), "sobol")
+    ours, truth = blocks.__wrapped__(1, range(16), "control_variates"), blocks(32, range(8), "sobol")
     error = sum(a.var(axis=0, ddof=1) / len(a) for a in (ours, truth))
     error += np.square(1e-3 * truth.mean())
     z = (ours.mean(axis=0) - truth.mean(axis=0)) / np.sqrt(error)

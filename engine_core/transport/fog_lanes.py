@@ -130,7 +130,7 @@ class BareLights:
                 is_spot = cos > -1
                 kind[rows[is_spot]] = SPOT
                 largest = np.linalg.norm(axes[:, :, rows].transpose(2, 0, 1), 2, axis=(1, 2))
-                sine = np.sqrt(np.maximum(1 - cos * cos, 1e-6))
+                sine = np.sqrt(np.maximum(1 - cos * cos, 1e-12))
                 back[rows] = np.where(is_spot, largest * radius[rows] / sine, 0)
         strength[:, sized] /= 2
         state = np.zeros(count, np.uint64)
@@ -303,7 +303,12 @@ class Lanes(ABC):
 
 
 class AboutPoints(Lanes):
-    """Lanes to points and spots."""
+    """Lanes to points and spots.
+
+    is_cut : whether the first two of `_dimming` are where a spot's light begins and ends.
+    """
+
+    is_cut = False
 
     def __init__(self, segments: FogSegments, lights: BareLights, media: Media) -> None:
         origin, direction = segments.origin[:, None], segments.direction[:, None]
@@ -311,7 +316,9 @@ class AboutPoints(Lanes):
         foot = lights.position[:, :, None] - origin
         at = dot(foot, direction)
         foot = at * direction - foot
-        distance = np.maximum(np.sqrt(dot(foot, foot)), lights.nearest[:, None])
+        aside = np.maximum(np.sqrt(dot(foot, foot)), lights.nearest[:, None])
+        # Next to a light with a size there is no peak to follow.
+        distance = np.hypot(aside, lights.radius[:, None]) if lights.radius.any() else aside
         low, high = segments.start - at, segments.end - at
         closed = _closed(segments, lights, media)
         first, inner = low, []
@@ -347,6 +354,7 @@ class AboutPoints(Lanes):
         if pairs.max() > 1:
             self.several = np.repeat(pairs, pairs)
             self._pair = np.arange(len(rows)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+        aside = flat(aside)
         foot, distance, low, high, begin = (flat(x) for x in (foot, distance, low, high, low + at))
         below, sharpness = (x.take(self.light) for x in (lights.below, lights.sharpness))
         if is_spot:
@@ -374,7 +382,7 @@ class AboutPoints(Lanes):
             self._below, self._sharpness = (
                 np.broadcast_to(x, len(rows)).astype(np.float32) for x in (below, sharpness)
             )
-        self._choose_points()
+        self._choose_points(aside)
         if is_spot:
             inner = self._dimming(at_foot, along, below, sharpness, low, high)
         self._set_breaks(inner, low, distance, m0, p0, step)
@@ -391,8 +399,8 @@ class AboutPoints(Lanes):
     def weight(self):
         return self._weight
 
-    def _choose_points(self) -> None:
-        """On lights, where these have a size."""
+    def _choose_points(self, aside: np.ndarray) -> None:
+        """On lights, where these have a size. aside : (n,) distances of their centres from rays."""
 
     def _dimming(
         self,
@@ -430,7 +438,7 @@ class AboutPoints(Lanes):
             parts = [np.where(low > 0, p0 - p, m - m0) / step for m, p in ends]
             # In the thickest fog a lane may be too short to be parted: its places are 0 / 0.
             parts = np.clip(np.nan_to_num(parts), 0, 1)
-            if len(inner) > 2 and self._lights.several:
+            if self.is_cut and self._lights.several:
                 # Next to a light this is too rough.
                 self.lit = parts[:2].copy()
             self.breaks = np.sort(parts, axis=0)

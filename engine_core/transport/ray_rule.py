@@ -113,7 +113,8 @@ class ScatteredAlongRay(Scattered):
         several: bool = True,
     ) -> None:
         """lights : (L,) numbers of those meant, None for all without size.
-        nodes, checks : along a ray for each of them, None for as many as so many lights have.
+        nodes, checks : along a ray for each of them, None for as many as so many lights have. Of a small one
+            both lanes have half of these, but for the usual nodes, which are of each.
 
         tamed : what `along` leaves of the light next to where it comes from; None for all.
         samples_too : whether samples leave no more. several : as in `BareLights`.
@@ -547,7 +548,8 @@ class _Pieces:
         some = length > 0
         if lanes.lit is not None:
             lit = some & (edge[1:] > lanes.lit[0]) & (edge[:-1] < lanes.lit[1])
-            some = lit if lit.any() else some
+            # Every lane has one at least.
+            some = np.where(lit.any(axis=0), lit, some)
         piece, lane = np.nonzero(some)
         self._number = np.full(length.shape, -1)
         self._number[piece, lane] = np.arange(len(lane))

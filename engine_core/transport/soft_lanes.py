@@ -39,6 +39,8 @@ from .fog_lanes import (
 
 _GOLDEN = (5**0.5 - 1) / 2
 
+_NEXT_TO_NOTHING = np.float32(1e-30)
+
 _WIDEST = np.float32(1 - 1e-6)
 """1 - cosine to a point of a disk, at most."""
 
@@ -46,7 +48,7 @@ _WIDEST = np.float32(1 - 1e-6)
 class AboutSmall(AboutPoints, ABC):
     """Lanes to points of balls and disks, of lights and of spots."""
 
-    def _choose_points(self) -> None:
+    def _choose_points(self, aside):
         n, along, foot = len(self), self.along, self._foot
         opposite = self._lights.opposite.take(self.light)
         u = self._segments.lamp
@@ -62,6 +64,7 @@ class AboutSmall(AboutPoints, ABC):
         u -= np.floor(u)
         # Opposite on the disk, too.
         self._place = np.stack(concentric_disk(*np.where(opposite, 1 - u, u)))
+        self._aside = aside.astype(np.float32)
         # The ray's direction, that from the light to its foot, and their normal: of the line through the
         # centre any will do.
         length = np.sqrt(dot(foot, foot))
@@ -83,7 +86,7 @@ class AboutSmall(AboutPoints, ABC):
         for x in (np.where(ends > begins, begins, low), np.where(ends > begins, ends, high)):
             vectors, *_ = self._vectors(x.astype(np.float32))
             vectors[0] += x
-            vectors[1] += self._distance
+            vectors[1] += self._aside
             moved.append(at_foot - np.stack([dot(row, vectors) for row in self._own]))
         for cone in (below, below - 1 / sharpness):
             begins, ends = (within_cones(m, along, cone, low, high)[i] for i, m in enumerate(moved))
@@ -91,15 +94,15 @@ class AboutSmall(AboutPoints, ABC):
         return places
 
     @abstractmethod
-    def _vectors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _vectors(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of places x (..., n) of the rays: vectors (3, ..., n) to the lanes' points of lights, by the frame
-        of ray, foot and normal; (..., n) their lengths, and those to the centres; and fluence, over that of
-        a light without size.
+        of ray, foot and normal; (..., n) their lengths, those to the centres, and those softened by the
+        radius, of which `_distance` is the least; and fluence, over the inverse square of the last.
         """
 
     def smooth(self, s):
         m, p, s = self._at(s)
-        vectors, reach, d, scale = self._vectors(self._x(m, p))
+        vectors, reach, d, soft, scale = self._vectors(self._x(m, p))
         scale *= 4 / (p * p + m * m)
         if self._cone is not None:
             scale *= self._in_cone(vectors, d)
@@ -108,10 +111,10 @@ class AboutSmall(AboutPoints, ABC):
         open_ = np.zeros(0, np.intp) if self._closed is True else np.flatnonzero(~self._closed)
         if open_.size:
             ahead = path + self._over_m * s / m
-            path = np.where(self._closed, 2 * path + (reach - d), ahead)
+            path = np.where(self._closed, 2 * path + (reach - soft), ahead)
         else:
             path *= 2
-            path += reach - d
+            path += reach - soft
         depth = columns(self.sigma, path.ndim) * path
         if open_.size:
             ahead = take(ahead.reshape(-1, len(self)), open_)
@@ -124,7 +127,7 @@ class AboutSmall(AboutPoints, ABC):
         value *= scale
         less = more = None
         if self._segments.anisotropy.any():
-            vectors /= reach
+            vectors /= np.maximum(reach, _NEXT_TO_NOTHING)
             square = vectors[1] * vectors[1]
             square += vectors[2] * vectors[2]
             less, more = ((np.square(1 - sign * vectors[0]) + square) / 4 for sign in (1, -1))
@@ -169,10 +172,12 @@ class AboutSmall(AboutPoints, ABC):
 class AboutDisks(AboutSmall):
     """The same of disks."""
 
+    is_cut = True
+
     def _vectors(self, x):
-        distance, (p, q) = self._distance, self._place
+        aside, (p, q) = self._aside, self._place
         r = self._radius * self._radius
-        square = x * x + distance * distance
+        square = x * x + aside * aside
         d = np.sqrt(square)
         square += r
         rim = np.sqrt(square)
@@ -185,19 +190,19 @@ class AboutDisks(AboutSmall):
         vectors = np.empty((3, *x.shape), np.float32)
         np.multiply(q, across, out=vectors[2])
         across *= p / d
-        np.multiply(across, distance, out=vectors[0])
+        np.multiply(across, aside, out=vectors[0])
         vectors[0] -= x
         np.multiply(across, -x, out=vectors[1])
-        vectors[1] -= distance
-        return vectors, reach, d, 2 * one_minus_cos * (d * d / r)
+        vectors[1] -= aside
+        return vectors, reach, d, rim, 2 * rim / (rim + d)
 
 
 class AboutBalls(AboutSmall):
     """The same of balls: points evenly over the solid angle."""
 
     def _vectors(self, x):
-        distance, (p, q) = self._distance, self._place
-        square = x * x + distance * distance
+        aside, (p, q) = self._aside, self._place
+        square = x * x + aside * aside
         d = np.sqrt(square)
         r = self._radius * self._radius
         inside = square <= r
@@ -212,12 +217,14 @@ class AboutBalls(AboutSmall):
         far = reach / d
         across, ahead = p * scale * far, cos * far
         vectors = np.empty((3, *x.shape), np.float32)
-        np.multiply(across, distance, out=vectors[0])
+        np.multiply(across, aside, out=vectors[0])
         vectors[0] -= ahead * x
         np.multiply(across, -x, out=vectors[1])
-        vectors[1] -= ahead * distance
+        vectors[1] -= ahead * aside
         np.multiply(q * scale, reach, out=vectors[2])
-        return vectors, reach, d, 2 * one_minus_cos * (square / r)
+        soft = square + r
+        fluence = soft / np.where(inside, r / 4, square * (1 - one_minus_cos / 2))
+        return vectors, reach, d, np.sqrt(soft), fluence
 
     def _in_cone(self, vectors, d):
         # Within a ball there is no cone, as in Cycles.

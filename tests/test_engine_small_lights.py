@@ -17,6 +17,7 @@ from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
 
 DENSE = Volume(scattering=(0.9, 0.5, 0.3), absorption=0.1, anisotropy=-0.4)
+DEEP, GREY = Volume(scattering=(9.0, 5.0, 3.0)), Volume(scattering=6.0, absorption=1.0)
 AIMED = (0.0, 0.0, -2.5)
 BEFORE = (0.05, 0.1, -1.5)
 
@@ -48,6 +49,9 @@ CASES = {
     ),
     "light partly in a box": (ball(0.3, (1.2, 0.2, -1.5)), -1, NESTED[:1]),
     "fog in fog": (disk(0.2), -1, NESTED),
+    "disk in deep fog": (disk(0.1), 2, ()),
+    "spot in deep fog": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, sphere=False, angle=1.0), 2, ()),
+    "disk in deep grey fog": (disk(0.1), 3, ()),
     "far away": (ball(60.0, (900.0, 700.0, -1000.0)), -1, NESTED[:1]),
 }
 
@@ -66,7 +70,7 @@ def mean(integrand, rays, each: int, seed: int) -> tuple[np.ndarray, np.ndarray]
 
 def of_case(name: str, sampling="auto"):
     light, world, meshes = CASES[name]
-    made = fog([light], [THIN, DENSE], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
+    made = fog([light], [THIN, DENSE, DEEP, GREY], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
     assert len(made.small) == 1 and len(made.sizeless) == 0
     return made
 

@@ -438,7 +438,7 @@ class AboutPoints(Lanes):
             parts = [np.where(low > 0, p0 - p, m - m0) / step for m, p in ends]
             # In the thickest fog a lane may be too short to be parted: its places are 0 / 0.
             parts = np.clip(np.nan_to_num(parts), 0, 1)
-            if self.is_cut and self._lights.several:
+            if inner and self.is_cut and self._lights.several:
                 # Next to a light this is too rough.
                 self.lit = parts[:2].copy()
             self.breaks = np.sort(parts, axis=0)

@@ -456,7 +456,7 @@ class NetPicture:
             change -= values.take(c.take(lane) * count + point, axis=0) * w.take(lane)[:, None]
         likely = chance[cell.take(lane), point]
         change *= ((SURE / count) / likely)[:, None]
-        by_chance = np.square(change.mean(axis=1)) * (1 - likely / SURE)
+        by_chance = np.square(change.mean(axis=1, dtype=np.float64)) * (1 - likely / SURE)
         return np.stack([np.bincount(lane, a, len(x)) for a in (*change.T, by_chance)])
 
     def _off(self, count: int) -> np.ndarray:

@@ -119,7 +119,7 @@ class OverScreen:
     elsewhere : (W, H) bool, pixels that another part takes; None for none.
     wedges : parts of the picture that no region knows whose nodes all lie beside them.
     bodies : of a region of the picture and a map_, which bodies of fog are seen, as `silhouettes`.
-    otherwise : what serves it better where polynomials are given up; None if samples of ``alone`` do.
+    otherwise : makes what serves it better where polynomials are given up; None if samples of ``alone`` do.
     """
 
     whole: StagedIntegrand
@@ -131,7 +131,7 @@ class OverScreen:
     elsewhere: np.ndarray | None
     wedges: tuple[Wedge, ...]
     bodies: Callable[[Region, Map], np.ndarray | None]
-    otherwise: OverNet | None = None
+    otherwise: Callable[[], OverNet] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +193,6 @@ class Part:
         integrands = [self.plain]
         if isinstance(self.by, OverScreen):
             integrands += [self.by.whole, self.by.alone]
-            if self.by.otherwise is not None:
-                integrands.append(self.by.otherwise.integrand)
         elif isinstance(self.by, AroundLights):
             integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
         different = {id(integrand.counts): integrand.counts for integrand in integrands}
@@ -266,6 +264,14 @@ def _of_fog(
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
         return lambda region, map_: outlines.with_fog(region, map_) | (False if beams is None else beams)
 
+    def beams_of(lights: np.ndarray) -> dict[int, Wedge]:
+        return wedges(scattering.rays, scattering.lights, scattering.cones, lights)
+
+    def and_narrow(of_spots: dict[int, Wedge]) -> Callable[[Region, Map], np.ndarray]:
+        if not (by_net and of_spots):
+            return and_beams(None)
+        return and_beams(tamed(scattering.rays, scattering.lights, of_spots, [], region).beams)
+
     def by_points(lights: np.ndarray) -> OverNet:
         choice = scattering.choice_of_cells(lights, *cells(region), check)
         learn, points = None, _growing(LIGHT_POINTS, settings.samples)
@@ -280,13 +286,10 @@ def _of_fog(
                 for one in each:
                     light.counts.update(one.counts)
 
-        narrow = None
-        if by_net and (of_sized := wedges(scattering.rays, scattering.lights, scattering.cones, lights)):
-            narrow = tamed(scattering.rays, scattering.lights, of_sized, [], region).beams
         return OverNet(
             light,
             points,
-            and_beams(narrow),
+            and_narrow(beams_of(lights)),
             elsewhere,
             learn=learn,
             expected=light.unshadowed,
@@ -294,19 +297,25 @@ def _of_fog(
             fewest=FEW_LIGHT_POINTS,
         )
 
-    def by_rays(lights: np.ndarray, many: bool, otherwise: OverNet | None = None) -> OverScreen:
+    def by_rays(
+        lights: np.ndarray,
+        of_spots: dict[int, Wedge],
+        pixels: Callable[[Region, Map], np.ndarray],
+        many: bool = False,
+        otherwise: Callable[[], OverNet] | None = None,
+    ) -> OverScreen:
+        """pixels : that are no polynomial's."""
         whole = ScatteredAlongRay(scattering, lights, check, tamed=calm, samples_too=many)
         # With a shadow on the way.
         node = whole.nodes + 2 * BISECTIONS
         node, ray, alone = RAYS_OF_MANY if many else (node, node + whole.checks, RAY_POINTS)
-        of_spots = wedges(scattering.rays, scattering.lights, scattering.cones, lights)
         return OverScreen(
             whole,
             AlongRay(node),
             ray,
             PointsOfRay(scattering, lights, check, tamed=calm if many else None),
             alone,
-            otherwise.outlines if otherwise else and_beams(None if calm is None else calm.beams),
+            pixels,
             None if many else elsewhere,
             tuple(of_spots.values()),
             outlines.bodies,
@@ -316,7 +325,7 @@ def _of_fog(
     # Of many lights, blocks have the peaks alone.
     many = len(bare) > ALL
     every = rest if many else np.union1d(bare, rest)
-    beams = wedges(scattering.rays, scattering.lights, scattering.cones, bare)
+    beams = beams_of(bare)
     if settings.integrator == "control_variates" and scattering.screen_dimensions == 2:
         found, own, others = [], [], []
         if len(rest) <= MOST_SIZED:
@@ -340,15 +349,22 @@ def _of_fog(
         else:
             elsewhere = None
     if bare.size:
-        by = by_rays(bare, many)
+        by = by_rays(bare, beams, and_beams(None if calm is None else calm.beams), many)
         plain = ScatteredLight(scattering, bare, None, check)
         if settings.integrator == "control_variates" and scattering.screen_dimensions > 2:
             # A lens' rays differ; but a camera ray is worth a few points.
             plain = by.alone
         parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
     if small.size:
-        by = by_points(small)
-        parts.append(Part("fog lit by small lights", VOLUME, by.integrand, 1, by_rays(small, False, by)))
+        plain, of_spots = ScatteredLight(scattering, small, None, check), beams_of(small)
+
+        def net() -> OverNet:
+            by = by_points(small)
+            by.integrand.counts = plain.counts
+            return by
+
+        by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=net)
+        parts.append(Part("fog lit by small lights", VOLUME, plain, 1, by))
     if (others := np.setdiff1d(rest, small)).size:
         by = by_points(others)
         parts.append(Part("fog lit by lights", VOLUME, by.integrand, 1, by))

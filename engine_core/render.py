@@ -234,7 +234,14 @@ class _Render:
                 if not ended:
                     outcome.result()
                 given_up = isinstance(picture, ScreenPicture) and not picture.built
-                by = by.otherwise if given_up else None
+                instead = by.otherwise if given_up and not ended else None
+                by = None
+                if instead is not None:
+                    # It looks at the scene, which may be given up as well.
+                    outcome, ended = self._workers.drive(
+                        lambda _, __, make=instead: make(), f"Building {part.name}"
+                    )
+                    by = None if ended else outcome.result()
             if not ended:
                 self._show_all()
             built.append((picture, time.perf_counter() - begin))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""FogSegments of fog and lights without size, in pairs: all that the integrand is but for shadows.
+"""Segments of fog and lights without size, in pairs: all that the integrand is but for shadows.
 
 A *lane* is a segment of one medium and a light. Its variable s in [0, 1] is one in which the integrand is
 flat. About a light at distance D from the ray's line, with x along it from its foot on,

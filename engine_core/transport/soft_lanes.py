@@ -170,7 +170,7 @@ class AboutSmall(AboutPoints, ABC):
 
 
 class AboutDisks(AboutSmall):
-    """The same of disks."""
+    """The same of disks that face the fog (`emitters.DiskEmitters`)."""
 
     is_cut = True
 
@@ -198,7 +198,7 @@ class AboutDisks(AboutSmall):
 
 
 class AboutBalls(AboutSmall):
-    """The same of balls: points evenly over the solid angle."""
+    """The same of balls (`emitters.SphereEmitters`); from within one, it is all around."""
 
     def _vectors(self, x):
         aside, (p, q) = self._aside, self._place

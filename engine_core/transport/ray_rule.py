@@ -23,8 +23,9 @@ from ..geometry.vectors import dot, take
 from ..integration.inner_rules import InnerRule, Nodes
 from ..integration.rules import gauss
 from .around_light import Tamed
+from .bare_lights import BARE, POINT, SPOT, SUN, BareLights
 from .direct_light import SHADOW
-from .fog_lanes import BARE, POINT, SPOT, SUN, BareLights, FogSegments, Lanes
+from .fog_lanes import FogSegments, Lanes
 from .fog_rays import FogRays
 from .single_scattering import Scattered, SingleScattering
 from .soft_lanes import LANES

@@ -22,14 +22,9 @@ from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..geometry.warps import basis, concentric_disk, sin_sqr_to_one_minus_cos
 from ..integration.sobol import hash_combine, unit_float
+from .bare_lights import BALL, BARE, DISK, POINT, SPOT, SUN
 from .fog_lanes import (
-    BALL,
-    BARE,
-    DISK,
-    POINT,
     SHORT,
-    SPOT,
-    SUN,
     AboutPoints,
     Lanes,
     TowardsSuns,

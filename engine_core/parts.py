@@ -29,11 +29,10 @@ from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
+from .transport.line_integrals import BISECTIONS, AlongRay
 from .transport.ray_rule import (
     ALL,
-    BISECTIONS,
     RAY_POINTS,
-    AlongRay,
     NextToLight,
     PointsOfRay,
     ScatteredAlongRay,

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All light that fog scatters along a camera ray, of lights without size and small ones: points, spots, suns.
 
-What is seen and what is smooth are integrated apart. Shadow rays to a few *nodes* tell where along a segment
-a light is seen; between two that differ, bisection finds the shadow's edge. All other factors are one smooth
-function of the place, a polynomial through Gauss-Legendre points; its antiderivative needs no ray.
-
-The unbiased estimate adds rays: one in the last bracket of each edge, and a few anywhere, where the
-integrand is compared with the polynomial times the visibility that was found. Of many lights most bring
-little of what a ray brings in all: these have but a few points, evenly spread, whose errors even out.
+Each lane of a ray is integrated by `line_integrals`. Of many lights most bring little of what a ray brings in
+all: these have but a few points, evenly spread, whose errors even out.
 
 A small light is a pair of points for each ray, opposite ones, and two more dimensions say which.
 """
@@ -20,22 +15,18 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.vectors import dot, take
-from ..integration.inner_rules import InnerRule, Nodes
-from ..integration.rules import gauss
 from .around_light import Tamed
 from .bare_lights import BARE, POINT, SPOT, SUN, BareLights
 from .direct_light import SHADOW
 from .fog_lanes import FogSegments, Lanes
 from .fog_rays import FogRays
+from .line_integrals import LineIntegrals, Looks, wrapped
 from .single_scattering import Scattered, SingleScattering
 from .soft_lanes import LANES
 
 NODES, NODES_OF_SPOTS = 33, 17
 """Where visibility is asked for in a lane, which of spots is in their cones: what is thinner than a step may
 be missed."""
-
-BISECTIONS = 6
-"""Of the step in which a shadow has its edge."""
 
 CHECKS = 32
 """Of what the nodes say of a lane, in an unbiased estimate: rays that compare it with the truth."""
@@ -63,9 +54,6 @@ POINTS, POINTS_OF_PEAKS = 10, 16
 _PEAK = 0.6
 """Anisotropy from which on it has one."""
 
-_INSET = 1e-3
-"""Part of a lane, at both ends, in which a light is seen as it is next to it: no surface shadows itself."""
-
 _BATCH = 1 << 17
 """Shadow rays at once, about."""
 
@@ -75,16 +63,10 @@ _LANES = 1 << 16
 FEW_OF_SEVERAL = 4
 """How many times fewer checks each of so many pairs of lanes of one ray and light has."""
 
-Looks = tuple[int, int]
-"""Nodes and checks of a lane."""
-
 _GOLDEN = (5**0.5 - 1) / 2
 
 _MIDDLE = np.full((1, 1), 0.5)
 """A place of a lane that tells how much it brings, about."""
-
-_LAST = np.float32(1 - 2.0**-24)
-"""The last place but the end, which of a sun's lane may be infinitely far."""
 
 
 def nodes_and_checks(lights: int) -> tuple[int, int]:
@@ -141,7 +123,7 @@ class ScatteredAlongRay(Scattered):
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         self._few = FEW
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
-        self._quadrature = _Quadrature(POINTS_OF_PEAKS if peaked else POINTS)
+        self._integrals = LineIntegrals(self._seen, POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind
         # To each light.
         self.nodes, self.checks = nodes * pair, self._checks * pair
@@ -240,11 +222,7 @@ class ScatteredAlongRay(Scattered):
         """(G, C, n) integrals of `Lanes.smooth` times visibility, by a point in each part, at u (n,)."""
         # Of many lights the errors of one place in all of their lanes would add up.
         u = (u + lanes.light * np.float32(_GOLDEN)) % 1
-        s = (np.arange(self._few, dtype=np.float32)[:, None] + u) / self._few
-        np.minimum(s, _LAST, out=s)
-        value = lanes.smooth(s)
-        value *= self._seen(lanes, s)
-        return value.mean(axis=2, dtype=np.float64)
+        return self._integrals.by_points(lanes, self._few, u)
 
     def _lanes(
         self, segments: FogSegments, bare: BareLights, whole: bool = False
@@ -271,92 +249,8 @@ class ScatteredAlongRay(Scattered):
     def _integral(
         self, lanes: Lanes, looks: Looks, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """(G, C, n) integrals of `Lanes.smooth` times visibility over s, for u (2, n); None for none.
-
-        Without a u, also what deviation the last brackets of shadows leave, and how many edges these have
-        (n,); None for 0.
-        """
-        nodes, checks = looks
-        pieces = _Pieces(lanes, self._quadrature)
-        # Samples of a pixel divide the work: their checks are evenly spread in steps that are the same.
-        shift = lanes.shift if u is None else np.full(len(lanes), 0.5, np.float32)
-        if lanes.turn is not None:
-            shift = _wrapped(shift + lanes.turn)
-            u = None if u is None else _wrapped(u[:2] + lanes.turn)
-        s = _places(nodes, shift)
-        seen = self._seen(lanes, s)
-        result = pieces.whole * seen[-1]
-        step, lane = np.nonzero(seen[1:] != seen[:-1])
-        error = edges = None
-        low = high = np.zeros(0)
-        if lane.size:
-            part, lit = lanes.take(lane), seen[step, lane]
-            low, high = s[step, lane], s[step + 1, lane]
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (low + high)
-                same = self._seen(part, middle) == lit
-                low, high = np.where(same, middle, low), np.where(same, high, middle)
-            edge = 0.5 * (low + high) if u is None else np.where(lit, low, high)
-            change = pieces.integral(lane, edge)
-            change *= np.where(lit, np.float32(1), np.float32(-1))
-            if u is None:
-                rough = pieces.value(lane, edge)
-                rough *= (0.5 * (high - low)).astype(np.float32)
-                error = _sums(lane, rough * rough, len(lanes))
-                # What is one node long here may lie between nodes nearby, where the checks alone find it.
-                lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
-                error += pieces.whole**2 * (lone / (nodes * checks))
-                error, edges = np.sqrt(error), np.bincount(lane, minlength=len(lanes))
-            else:
-                at = low + (high - low) * u[0].take(lane)
-                change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
-            result += _sums(lane, change, len(lanes))
-        if u is not None:
-            result += self._checked(lanes, pieces, shift, seen, (step, lane, low, high), checks, u[1])
-        return result, error, edges
-
-    def _checked(
-        self,
-        lanes: Lanes,
-        pieces: _Pieces,
-        shift: np.ndarray,
-        seen: np.ndarray,
-        edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-        checks: int,
-        u: np.ndarray,
-    ) -> np.ndarray:
-        """(G, C, n) what is missing where nodes say ``seen`` (K, n), by a few rays placed by u (n,).
-
-        edges : steps, lanes, and brackets (X,) of shadows' edges, which are sampled for themselves.
-        """
-        # Rays ask what is seen at places in each part of a lane; how right the polynomial is needs but one.
-        part = np.arange(checks, dtype=np.float32)[:, None]
-        at = np.concatenate([u[None], (u + part) / checks])
-        steps, here = len(seen) - 1, np.arange(len(lanes))
-        cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
-        believed, known = seen[cell, here], np.ones(at.shape, bool)
-        step, lane, low, high = edges
-        if lane.size:
-            row = np.full((steps, len(lanes)), -1)
-            row[step, lane] = np.arange(len(lane))
-            row = row[cell, here]
-            near = np.nonzero(row >= 0)
-            place, row = at[near], row[near]
-            below = place < low.take(row)
-            believed[near] = np.where(below, believed[near], seen[cell + 1, here][near])
-            known[near] = below | (place > high.take(row))
-        lit = np.flatnonzero(believed[0] & known[0])
-        missing = np.zeros((*pieces.whole.shape[:2], len(lanes)))
-        if lit.size:
-            place = at[0].take(lit)
-            missing[:, :, lit] = lanes.take(lit).smooth(place) - pieces.value(lit, place)
-        wrong, lane = np.nonzero((self._seen(lanes, at[1:]) != believed[1:]) & known[1:])
-        if lane.size:
-            change = lanes.take(lane).smooth(at[1 + wrong, lane])
-            share = np.float32(1 / checks)
-            change *= np.where(believed[1 + wrong, lane], -share, share)
-            missing += _sums(lane, change, len(lanes))
-        return missing
+        """As `LineIntegrals.integral`."""
+        return self._integrals.integral(lanes, looks, u)
 
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
@@ -390,13 +284,8 @@ class PointsOfRay(ScatteredAlongRay):
         self._few = FEWER
 
     def _integral(self, lanes: Lanes, looks: Looks, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
-        nodes, _ = looks
-        at = u[0] if lanes.turn is None else _wrapped(u[0] + lanes.turn)
-        s = (np.arange(nodes, dtype=np.float32)[:, None] + at) / nodes
-        np.minimum(s, _LAST, out=s)
-        value = lanes.smooth(s)
-        value *= self._seen(lanes, s)
-        return value.mean(axis=2, dtype=np.float64), None, None
+        at = u[0] if lanes.turn is None else wrapped(u[0] + lanes.turn)
+        return self._integrals.by_points(lanes, looks[0], at), None, None
 
 
 class NextToLight(PointsOfRay):
@@ -430,36 +319,6 @@ class NextToLight(PointsOfRay):
         return which, values - less
 
 
-class AlongRay(InnerRule):
-    """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
-
-    batch = 1 << 16  # many short calls for a ray
-
-    def __init__(self, cost: int) -> None:
-        """cost : of a node, in evaluations."""
-        self._cost = cost
-
-    def cost(self, dimensions: int) -> int:
-        return self._cost
-
-    def integrate(self, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, int]:
-        count = len(nodes.lanes)
-        rays, lane, which = nodes.stage, nodes.lanes, None
-        if rays.lane is not None:
-            number = np.full(nodes.points, -1)
-            number[rays.lane] = np.arange(len(rays))
-            lane = number.take(lane)
-            which = np.flatnonzero(lane >= 0)
-            lane = lane.take(which)
-        everything = len(lane) == len(rays) and (lane == np.arange(len(rays))).all()
-        values, told = nodes.integrand.along(rays, None if everything else lane)
-        if which is not None:
-            dense, of_all = np.zeros((3, count), np.float32), np.zeros((2, count))
-            dense[:, which], of_all[:, which] = values, told
-            values, told = dense, of_all
-        return values, told, count * self._cost
-
-
 def _fewer_nodes(nodes: int, times: int) -> int:
     return max(2, (nodes - 1) // times + 1)
 
@@ -472,123 +331,3 @@ def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
     s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
     s[0], s[-1] = _INSET, 1 - _INSET
     return s
-
-
-def _wrapped(u: np.ndarray) -> np.ndarray:
-    """Modulo 1."""
-    return u - np.floor(u)
-
-
-def _sums(lane: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """(G, C, count) sums of values (G, C, X) of the same lane (X,)."""
-    flat = values.reshape(-1, len(lane))
-    return np.stack([np.bincount(lane, row, count) for row in flat]).reshape(*values.shape[:2], count)
-
-
-class _Quadrature:
-    """Gauss-Legendre on [0, 1], and the polynomial through its points.
-
-    at : (Q,) points. weights : (Q,) float32.
-    """
-
-    def __init__(self, points: int) -> None:
-        self.at, weights = gauss(points)
-        self.weights = weights.astype(np.float32)
-        order = np.arange(points)
-        # From values to coefficients of Legendre polynomials, and on to those of their antiderivatives.
-        series = (2 * order + 1)[:, None] * _legendre(self.at, points) * weights
-        higher = np.zeros((points, points + 1))
-        higher[order, order + 1] = 0.5 / (2 * order + 1)
-        higher[order[1:], order[1:] - 1] = -0.5 / (2 * order[1:] + 1)
-        higher[0, 0] = 0.5
-        self._values = series.T.astype(np.float32)
-        self._integrals = (series.T @ higher).astype(np.float32)
-
-    def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,), or (J, X)."""
-        legendre = _legendre(s.astype(np.float32), len(self.at))
-        factor = np.einsum("qk,k...->q...", self._values, legendre)
-        return np.einsum("gcqx,qx->gcx" if s.ndim == 1 else "gcqx,qjx->gcjx", values, factor)
-
-    def integral(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """(..., X) their integrals from 0 to s (X,)."""
-        legendre = _legendre(s.astype(np.float32), len(self.at) + 1)
-        factor = np.einsum("qk,kx->qx", self._integrals, legendre)
-        return (values * factor).sum(axis=-2)
-
-
-def _legendre(s: np.ndarray, count: int) -> np.ndarray:
-    """(count, X) Legendre polynomials of order 0, 1, ... on [0, 1] at s (X,)."""
-    t = 2 * s - 1
-    p = np.empty((count, *s.shape), s.dtype)
-    p[0] = 1
-    p[1] = t
-    for k in range(1, count - 1):
-        np.multiply(p[k], t, out=p[k + 1])
-        p[k + 1] *= (2 * k + 1) / (k + 1)
-        p[k + 1] -= (k / (k + 1)) * p[k - 1]
-    return p
-
-
-class _Pieces:
-    """The smooth factor of n lanes: a polynomial of each, or one in each piece of a lane.
-
-    whole : (G, C, n) integrals over the lanes.
-    """
-
-    def __init__(self, lanes: Lanes, quadrature: _Quadrature) -> None:
-        self._quadrature = quadrature
-        self._number = None
-        if len(lanes.breaks) == 0:
-            self._values = lanes.smooth(quadrature.at[:, None])  # (G, C, Q, n)
-            self.whole = self._means()
-            return
-        n = len(lanes)
-        edge = np.concatenate([np.zeros((1, n)), lanes.breaks, np.ones((1, n))])
-        length = np.diff(edge, axis=0)
-        some = length > 0
-        if lanes.lit is not None:
-            lit = some & (edge[1:] > lanes.lit[0]) & (edge[:-1] < lanes.lit[1])
-            # Every lane has one at least.
-            some = np.where(lit.any(axis=0), lit, some)
-        piece, lane = np.nonzero(some)
-        self._number = np.full(length.shape, -1)
-        self._number[piece, lane] = np.arange(len(lane))
-        self._low, self._length = edge[piece, lane], length[piece, lane]
-        self._values = lanes.take(lane).smooth(self._low + self._length * quadrature.at[:, None])
-        self._values *= self._length.astype(np.float32)
-        self.whole = _sums(lane, self._means(), n)
-
-    def _means(self) -> np.ndarray:
-        # Not by ``@``, as `integration.rules.weighted`.
-        return np.einsum("q,gcqn->gcn", self._quadrature.weights, self._values)
-
-    def integral(self, lane: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """(G, C, X) integrals over lanes (X,) from 0 to s (X,)."""
-        if self._number is None:
-            return self._quadrature.integral(self._values.take(lane, axis=-1), s)
-        result = 0
-        for number in self._number:
-            row = number.take(lane)
-            place = np.clip((s - self._low.take(row)) / self._length.take(row), 0, 1)
-            part = self._quadrature.integral(self._values.take(row, axis=-1), place)
-            result = result + part * (row >= 0)
-        return result
-
-    def value(self, lane: np.ndarray | None, s: np.ndarray) -> np.ndarray:
-        """(G, C, X) the factor at s (X,) of lanes (X,), None for all in order; (G, C, J, X) at s (J, X)."""
-        if self._number is None:
-            values = self._values if lane is None else self._values.take(lane, axis=-1)
-            return self._quadrature.value(values, s)
-        if s.ndim == 2:
-            return np.stack([self.value(lane, one) for one in s], axis=2)
-        row = np.full(len(s), -1)
-        for number in self._number:
-            of = number if lane is None else number.take(lane)
-            row = np.where((of >= 0) & (s >= self._low.take(of)), of, row)
-        length = self._length.take(row)
-        place = (s - self._low.take(row)) / length
-        value = self._quadrature.value(self._values.take(row, axis=-1), np.clip(place, 0, 1))
-        # Between pieces there is nothing.
-        value /= np.where((row >= 0) & (place <= 1 + 1e-9), length, np.inf).astype(np.float32)
-        return value

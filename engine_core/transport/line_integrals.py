@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Integrals along a line of what is smooth times what is seen, each found apart.
+
+Shadow rays to a few *nodes* tell where along a line something is seen; between two that differ, bisection
+finds the shadow's edge. All other factors are one smooth function of the place, a polynomial through
+Gauss-Legendre points; its antiderivative needs no ray.
+
+The unbiased estimate adds rays: one in the last bracket of each edge, and a few anywhere, where the
+integrand is compared with the polynomial times the visibility that was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..integration.inner_rules import InnerRule, Nodes
+from ..integration.rules import gauss
+
+BISECTIONS = 6
+"""Of the step in which a shadow has its edge."""
+
+_INSET = 1e-3
+"""Part of a line, at both ends, in which what is seen is what is next to it: no surface shadows itself."""
+
+_LAST = np.float32(1 - 2.0**-24)
+"""The last place but the end, where something may be infinitely far."""
+
+Looks = tuple[int, int]
+"""Nodes and checks of a line."""
+
+
+class Lines(Protocol):
+    """n lines, each in a variable s of [0, 1]; values of G groups and C channels there.
+
+    breaks : (B, n) ascending places s between which the integrand is smooth.
+    lit : (2, n), two of them outside of which it is next to nothing; None if that is not known.
+    shift : (n,) float32 in [0, 1), as if by chance, another one for each camera ray.
+    turn : (n,) the same, how lines that belong together are staggered; None if there is but one.
+    """
+
+    breaks: np.ndarray
+    lit: np.ndarray | None
+    shift: np.ndarray
+    turn: np.ndarray | None
+
+    def __len__(self) -> int: ...
+
+    def take(self, rows: np.ndarray) -> Lines:
+        """Lines ``rows``."""
+        ...
+
+    def smooth(self, s: np.ndarray) -> np.ndarray:
+        """(G, C, n) the integrand at s (n,), or (G, C, Q, n) at s (Q, n) or (Q, 1)."""
+        ...
+
+
+class LineIntegrals:
+    """The rules for lines of one kind."""
+
+    def __init__(self, seen: Callable[[Any, np.ndarray], np.ndarray], points: int) -> None:
+        """seen : of lines (n,) and places s (..., n) or (Q, 1), (..., n) bool what is seen from there.
+        points : of the quadrature in each piece of a line.
+        """
+        self._seen, self._quadrature = seen, _Quadrature(points)
+
+    def by_points(self, lines: Lines, count: int, u: np.ndarray) -> np.ndarray:
+        """(G, C, n) the same by a point in each of ``count`` parts of a line, at u (n,)."""
+        s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
+        np.minimum(s, _LAST, out=s)
+        value = lines.smooth(s)
+        value *= self._seen(lines, s)
+        return value.mean(axis=2, dtype=np.float64)
+
+    def integral(
+        self, lines: Lines, looks: Looks, u: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """(G, C, n) integrals of `Lines.smooth` times visibility over s, for u (2, n); None for none.
+
+        Without a u, also what deviation the last brackets of shadows leave, and how many edges these have
+        (n,); None for 0.
+        """
+        nodes, checks = looks
+        pieces = _Pieces(lines, self._quadrature)
+        # Samples of a pixel divide the work: their checks are evenly spread in steps that are the same.
+        shift = lines.shift if u is None else np.full(len(lines), 0.5, np.float32)
+        if lines.turn is not None:
+            shift = wrapped(shift + lines.turn)
+            u = None if u is None else wrapped(u[:2] + lines.turn)
+        s = _places(nodes, shift)
+        seen = self._seen(lines, s)
+        result = pieces.whole * seen[-1]
+        step, line = np.nonzero(seen[1:] != seen[:-1])
+        error = edges = None
+        low = high = np.zeros(0)
+        if line.size:
+            part, lit = lines.take(line), seen[step, line]
+            low, high = s[step, line], s[step + 1, line]
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (low + high)
+                same = self._seen(part, middle) == lit
+                low, high = np.where(same, middle, low), np.where(same, high, middle)
+            edge = 0.5 * (low + high) if u is None else np.where(lit, low, high)
+            change = pieces.integral(line, edge)
+            change *= np.where(lit, np.float32(1), np.float32(-1))
+            if u is None:
+                rough = pieces.value(line, edge)
+                rough *= (0.5 * (high - low)).astype(np.float32)
+                error = _sums(line, rough * rough, len(lines))
+                # What is one node long here may lie between nodes nearby, where the checks alone find it.
+                lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
+                error += pieces.whole**2 * (lone / (nodes * checks))
+                error, edges = np.sqrt(error), np.bincount(line, minlength=len(lines))
+            else:
+                at = low + (high - low) * u[0].take(line)
+                change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
+            result += _sums(line, change, len(lines))
+        if u is not None:
+            result += self._checked(lines, pieces, shift, seen, (step, line, low, high), checks, u[1])
+        return result, error, edges
+
+    def _checked(
+        self,
+        lines: Lines,
+        pieces: _Pieces,
+        shift: np.ndarray,
+        seen: np.ndarray,
+        edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        checks: int,
+        u: np.ndarray,
+    ) -> np.ndarray:
+        """(G, C, n) what is missing where nodes say ``seen`` (K, n), by a few rays placed by u (n,).
+
+        edges : steps, lines, and brackets (X,) of shadows' edges, which are sampled for themselves.
+        """
+        # Rays ask what is seen at places in each part of a line; how right the polynomial is needs but one.
+        part = np.arange(checks, dtype=np.float32)[:, None]
+        at = np.concatenate([u[None], (u + part) / checks])
+        steps, here = len(seen) - 1, np.arange(len(lines))
+        cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
+        believed, known = seen[cell, here], np.ones(at.shape, bool)
+        step, line, low, high = edges
+        if line.size:
+            row = np.full((steps, len(lines)), -1)
+            row[step, line] = np.arange(len(line))
+            row = row[cell, here]
+            near = np.nonzero(row >= 0)
+            place, row = at[near], row[near]
+            below = place < low.take(row)
+            believed[near] = np.where(below, believed[near], seen[cell + 1, here][near])
+            known[near] = below | (place > high.take(row))
+        lit = np.flatnonzero(believed[0] & known[0])
+        missing = np.zeros((*pieces.whole.shape[:2], len(lines)))
+        if lit.size:
+            place = at[0].take(lit)
+            missing[:, :, lit] = lines.take(lit).smooth(place) - pieces.value(lit, place)
+        wrong, line = np.nonzero((self._seen(lines, at[1:]) != believed[1:]) & known[1:])
+        if line.size:
+            change = lines.take(line).smooth(at[1 + wrong, line])
+            share = np.float32(1 / checks)
+            change *= np.where(believed[1 + wrong, line], -share, share)
+            missing += _sums(line, change, len(lines))
+        return missing
+
+
+class AlongRay(InnerRule):
+    """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
+
+    batch = 1 << 16  # many short calls for a ray
+
+    def __init__(self, cost: int) -> None:
+        """cost : of a node, in evaluations."""
+        self._cost = cost
+
+    def cost(self, dimensions: int) -> int:
+        return self._cost
+
+    def integrate(self, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, int]:
+        count = len(nodes.lanes)
+        rays, lane, which = nodes.stage, nodes.lanes, None
+        if rays.lane is not None:
+            number = np.full(nodes.points, -1)
+            number[rays.lane] = np.arange(len(rays))
+            lane = number.take(lane)
+            which = np.flatnonzero(lane >= 0)
+            lane = lane.take(which)
+        everything = len(lane) == len(rays) and (lane == np.arange(len(rays))).all()
+        values, told = nodes.integrand.along(rays, None if everything else lane)
+        if which is not None:
+            dense, of_all = np.zeros((3, count), np.float32), np.zeros((2, count))
+            dense[:, which], of_all[:, which] = values, told
+            values, told = dense, of_all
+        return values, told, count * self._cost
+
+
+def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
+    """(K, n) where in lines visibility is asked for: at both ends, and by even steps, shifted (n,), between.
+
+    What is thinner than a step is seen by some of the rays nearby, instead of by none or by all of them.
+    """
+    s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
+    s[0], s[-1] = _INSET, 1 - _INSET
+    return s
+
+
+def wrapped(u: np.ndarray) -> np.ndarray:
+    """Modulo 1."""
+    return u - np.floor(u)
+
+
+def _sums(line: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """(G, C, count) sums of values (G, C, X) of the same line (X,)."""
+    flat = values.reshape(-1, len(line))
+    return np.stack([np.bincount(line, row, count) for row in flat]).reshape(*values.shape[:2], count)
+
+
+class _Quadrature:
+    """Gauss-Legendre on [0, 1], and the polynomial through its points.
+
+    at : (Q,) points. weights : (Q,) float32.
+    """
+
+    def __init__(self, points: int) -> None:
+        self.at, weights = gauss(points)
+        self.weights = weights.astype(np.float32)
+        order = np.arange(points)
+        # From values to coefficients of Legendre polynomials, and on to those of their antiderivatives.
+        series = (2 * order + 1)[:, None] * _legendre(self.at, points) * weights
+        higher = np.zeros((points, points + 1))
+        higher[order, order + 1] = 0.5 / (2 * order + 1)
+        higher[order[1:], order[1:] - 1] = -0.5 / (2 * order[1:] + 1)
+        higher[0, 0] = 0.5
+        self._values = series.T.astype(np.float32)
+        self._integrals = (series.T @ higher).astype(np.float32)
+
+    def value(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(..., X) of the polynomials through ``values`` (..., Q, X) at s (X,), or (J, X)."""
+        legendre = _legendre(s.astype(np.float32), len(self.at))
+        factor = np.einsum("qk,k...->q...", self._values, legendre)
+        return np.einsum("gcqx,qx->gcx" if s.ndim == 1 else "gcqx,qjx->gcjx", values, factor)
+
+    def integral(self, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(..., X) their integrals from 0 to s (X,)."""
+        legendre = _legendre(s.astype(np.float32), len(self.at) + 1)
+        factor = np.einsum("qk,kx->qx", self._integrals, legendre)
+        return (values * factor).sum(axis=-2)
+
+
+def _legendre(s: np.ndarray, count: int) -> np.ndarray:
+    """(count, X) Legendre polynomials of order 0, 1, ... on [0, 1] at s (X,)."""
+    t = 2 * s - 1
+    p = np.empty((count, *s.shape), s.dtype)
+    p[0] = 1
+    p[1] = t
+    for k in range(1, count - 1):
+        np.multiply(p[k], t, out=p[k + 1])
+        p[k + 1] *= (2 * k + 1) / (k + 1)
+        p[k + 1] -= (k / (k + 1)) * p[k - 1]
+    return p
+
+
+class _Pieces:
+    """The smooth factor of n lines: a polynomial of each, or one in each piece of a line.
+
+    whole : (G, C, n) integrals over the lines.
+    """
+
+    def __init__(self, lines: Lines, quadrature: _Quadrature) -> None:
+        self._quadrature = quadrature
+        self._number = None
+        if len(lines.breaks) == 0:
+            self._values = lines.smooth(quadrature.at[:, None])  # (G, C, Q, n)
+            self.whole = self._means()
+            return
+        n = len(lines)
+        edge = np.concatenate([np.zeros((1, n)), lines.breaks, np.ones((1, n))])
+        length = np.diff(edge, axis=0)
+        some = length > 0
+        if lines.lit is not None:
+            lit = some & (edge[1:] > lines.lit[0]) & (edge[:-1] < lines.lit[1])
+            # Every line has one at least.
+            some = np.where(lit.any(axis=0), lit, some)
+        piece, line = np.nonzero(some)
+        self._number = np.full(length.shape, -1)
+        self._number[piece, line] = np.arange(len(line))
+        self._low, self._length = edge[piece, line], length[piece, line]
+        self._values = lines.take(line).smooth(self._low + self._length * quadrature.at[:, None])
+        self._values *= self._length.astype(np.float32)
+        self.whole = _sums(line, self._means(), n)
+
+    def _means(self) -> np.ndarray:
+        # Not by ``@``, as `integration.rules.weighted`.
+        return np.einsum("q,gcqn->gcn", self._quadrature.weights, self._values)
+
+    def integral(self, line: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(G, C, X) integrals over lines (X,) from 0 to s (X,)."""
+        if self._number is None:
+            return self._quadrature.integral(self._values.take(line, axis=-1), s)
+        result = 0
+        for number in self._number:
+            row = number.take(line)
+            place = np.clip((s - self._low.take(row)) / self._length.take(row), 0, 1)
+            part = self._quadrature.integral(self._values.take(row, axis=-1), place)
+            result = result + part * (row >= 0)
+        return result
+
+    def value(self, line: np.ndarray | None, s: np.ndarray) -> np.ndarray:
+        """(G, C, X) the factor at s (X,) of lines (X,), None for all in order; (G, C, J, X) at s (J, X)."""
+        if self._number is None:
+            values = self._values if line is None else self._values.take(line, axis=-1)
+            return self._quadrature.value(values, s)
+        if s.ndim == 2:
+            return np.stack([self.value(line, one) for one in s], axis=2)
+        row = np.full(len(s), -1)
+        for number in self._number:
+            of = number if line is None else number.take(line)
+            row = np.where((of >= 0) & (s >= self._low.take(of)), of, row)
+        length = self._length.take(row)
+        place = (s - self._low.take(row)) / length
+        value = self._quadrature.value(self._values.take(row, axis=-1), np.clip(place, 0, 1))
+        # Between pieces there is nothing.
+        value /= np.where((row >= 0) & (place <= 1 + 1e-9), length, np.inf).astype(np.float32)
+        return value

@@ -321,13 +321,3 @@ class NextToLight(PointsOfRay):
 
 def _fewer_nodes(nodes: int, times: int) -> int:
     return max(2, (nodes - 1) // times + 1)
-
-
-def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
-    """(K, n) where in lanes visibility is asked for: at both ends, and by even steps, shifted (n,), between.
-
-    What is thinner than a step is seen by some of the rays nearby, instead of by none or by all of them.
-    """
-    s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
-    s[0], s[-1] = _INSET, 1 - _INSET
-    return s

@@ -31,7 +31,7 @@ def test_random_scenes_are_sound(first):
             raise AssertionError(f"nasty_scene({seed})") from error
 
 
-@pytest.mark.parametrize("seed", [436, 645, 1333])
+@pytest.mark.parametrize("seed", [436, 645, 1333, 1718])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_rays_that_graze_lights_come_to_an_end(seed):
     """These once went round in circles at faces that they grazed."""

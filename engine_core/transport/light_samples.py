@@ -16,6 +16,9 @@ from .emitters import Emitters
 from .light_choice import EveryLight, LightChoice, Lights
 from .surface_shading import SurfaceShader
 
+_ULPS = np.float32(8 * 2.0**-24)
+"""Of a place: what is less may be lost in it."""
+
 
 @dataclass(eq=False)
 class LightSamples:
@@ -325,6 +328,8 @@ class SceneLights(Lights):
         travelled, step = np.zeros((2, len(ray)), np.float32)
         last = np.full(len(ray), -1)
         casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
+        # In lengths of the direction, which may be tiny.
+        size = np.abs(position).max(axis=0) / np.maximum(np.abs(direction).max(axis=0), np.float32(1e-30))
         while ray.size:
             origins = np.ascontiguousarray((take(position, ray) + take(direction, ray) * travelled).T)
             hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)
@@ -339,8 +344,10 @@ class SceneLights(Lights):
                     group, position, normal, direction, ray.take(new), triangle.take(new),
                     travelled.take(new), hits.u.take(met.take(new)), hits.v.take(met.take(new)),
                 )  # fmt: skip
-            # A ray may meet a triangle that it grazes again and again: ever further then.
+            # A ray may meet a triangle that it grazes again and again: ever further then, and from the first by
+            # a step that float32 does not round away.
             offset = np.maximum(self._triangles.offset.take(triangle), np.float32(1e-30))
+            offset = np.maximum(offset, _ULPS * np.maximum(size.take(ray), travelled))
             step = np.where(further < 4 * step, 2 * step, offset)
             on = np.flatnonzero(~casts.take(triangle))
             ray, travelled, step, last = (

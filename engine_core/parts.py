@@ -371,7 +371,9 @@ def _of_fog(
 
 
 def _of_distance(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
-    """(L,) radii of lights (L,) over the median distance of rays' segments of fog; inf for none."""
+    """(L,) radii of lights (L,) over the median distance of rays' segments of fog; inf for none. Of suns the
+    sine of half their angle.
+    """
     if lights.size == 0:
         return np.zeros(0)
     x0, y0, x1, y1 = region
@@ -387,7 +389,8 @@ def _of_distance(scattering: SingleScattering, lights: np.ndarray, region: Regio
     vector = scene.centre[:, lights, None] - take(rays.origin, media.ray)[:, None]
     direction = take(rays.direction, media.ray)[:, None]
     vector -= np.clip(dot(vector, direction), media.start, media.end) * direction
-    return scene.reach[lights] / np.maximum(np.median(np.sqrt(dot(vector, vector)), axis=1), 1e-300)
+    distance = np.maximum(np.median(np.sqrt(dot(vector, vector)), axis=1), 1e-300)
+    return np.where(np.isinf(scene.reach[lights]), scattering.sine[lights], scene.reach[lights] / distance)
 
 
 def _growing(of_one: int, samples: int) -> int:

@@ -7,11 +7,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes import assert_picture_is_sound
+from scenes import assert_picture_is_sound, box, floor
 from test_engine_fog import LIGHT, OCCLUDER, THIN, bounds, fog, rays_of, spot_at
-from test_engine_fog_pictures import OUTSIDE, downwards, scene
+from test_engine_fog_pictures import CAMERA, OUTSIDE, downwards, scene
 
-from engine_core import PointLight, Scene, Settings, SpotLight, Volume, parts, render, screen_picture
+from engine_core import (
+    Material,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    SunLight,
+    Volume,
+    parts,
+    render,
+    screen_picture,
+)
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
@@ -28,6 +39,10 @@ def disk(radius, position=LIGHT) -> PointLight:
 
 def ball(radius, position=LIGHT) -> PointLight:
     return PointLight(30.0, position=tuple(position), radius=radius)
+
+
+def sun(angle) -> SunLight:
+    return SunLight(30.0, direction=(-0.5, -1.0, -0.3), angle=angle)
 
 
 NESTED = (bounds((-1.6, -1.4, -4), (1.4, 1.3, 0.3)), bounds((0.5, -0.5, -2.2), (1.9, 0.9, -1.2), 1))
@@ -52,6 +67,9 @@ CASES = {
     "disk in deep fog": (disk(0.1), 2, ()),
     "spot in deep fog": (spot_at(LIGHT, AIMED, power=30.0, radius=0.1, sphere=False, angle=1.0), 2, ()),
     "disk in deep grey fog": (disk(0.1), 3, ()),
+    "sun": (sun(0.04), -1, NESTED[:1]),
+    "wide sun": (sun(0.5), -1, NESTED[:1]),
+    "sun in fogs": (sun(0.04), -1, NESTED),
     "far away": (ball(60.0, (900.0, 700.0, -1000.0)), -1, NESTED[:1]),
 }
 
@@ -126,7 +144,7 @@ def test_nodes_say_the_same_by_themselves_and_among_others():
 
 @pytest.mark.parametrize(
     ("name", "less", "by"),
-    [("disk", 25, 0.01), ("ball", 12, 0.03), ("spot", 25, 0.08), ("sharp spot", 8, 0.08)],
+    [("disk", 25, 0.01), ("ball", 12, 0.03), ("spot", 25, 0.08), ("sharp spot", 8, 0.08), ("sun", 25, 0.03)],
 )
 def test_opposite_points_leave_little_to_chance(name, less, by):
     """Of a sample, against one of a point; and of what nodes say."""
@@ -187,6 +205,16 @@ def test_what_serves_lights_goes_by_their_size():
     assert told(0.5) == told(0.1, parts.MOST_SMALL + 1) == {"fog lit by lights"}
     film = render(scene(ball(0.1), disk(0.5)), Settings(1))
     assert {"fog lit by small lights", "fog lit by lights"} <= set(film.statistics)
+
+
+@pytest.mark.parametrize("bars", [0, 40])
+def test_what_is_noise_to_whole_rays_has_a_net(bars):
+    """A sun behind bars, whose shadows are less than a step between nodes."""
+    meshes = [floor(8), bounds((-3, -3, 0.01), (3, 3, 3))]
+    meshes += [box((3.2, y, 0), (3.3, y + 0.05, 6)) for y in np.linspace(-3, 3, bars)]
+    sunlight = SunLight(3.0, direction=(-1.0, -0.1, -0.3), angle=0.0093)
+    film = render(Scene(CAMERA, meshes, [Material(0.0)], [sunlight], volumes=[THIN]), Settings(1))
+    assert film.statistics["fog lit by small lights"].startswith("about" if bars else "built")
 
 
 def test_where_no_ray_meets_fog_nothing_is_small():

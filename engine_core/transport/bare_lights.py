@@ -31,7 +31,7 @@ class BareLights:
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
         cone's angle, and 1 over the width of its edge in cosines.
     state : (L,) uint64, which fogs all of a light is in.
-    shape, radius : (L,) `BARE`, `DISK` or `BALL`, and 0 of the first.
+    shape, radius : (L,) `BARE`, `DISK` or `BALL`, and 0 of the first; of suns the sine of half their angle.
     lamp, opposite : (2, L) and (L,) bool, where on small ones their points are, of a ray that has its own at
         u: at u + lamp, modulo 1, or opposite to that.
     back : (L,) how far behind a spot, in its own space, the cone begins that holds all of its points' cones.
@@ -78,6 +78,7 @@ class BareLights:
             strength[:, rows] = group.strength[:, here]
             if group.at_infinity:
                 position[:, rows], kind[rows] = group.axis[:, here], SUN
+                radius[rows], shape[rows] = group.sine[here], np.where(group.size[here] > 0, DISK, BARE)
                 continue
             position[:, rows] = group.centre[:, here]
             radius[rows] = group.reach[here]

@@ -428,7 +428,7 @@ class TowardsSuns(Lanes):
         self._weight = np.exp(-take(segments.depth, segment).astype(np.float64)) * (passed / least)
         along = take(segments.direction, segment)
         begin = take(segments.origin, segment) + along * segments.start.take(segment)
-        towards = take(lights.position, light)
+        towards = self._directions()
         less, more = phase.half_angle(-towards, -along)
         self._passed, self._least, self.begin, self._towards, self._less, self._more = (
             x.astype(np.float32) for x in (passed, least, begin, towards, less, more)
@@ -438,6 +438,10 @@ class TowardsSuns(Lanes):
     @property
     def weight(self):
         return self._weight
+
+    def _directions(self) -> np.ndarray:
+        """(3, n) float64, unit."""
+        return take(self._lights.position, self.light)
 
     def _place(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances from the lanes' start (Q, n), and positions (3, Q, n), at s (Q, n) or (Q, 1)."""

@@ -344,8 +344,8 @@ class SceneLights(Lights):
                     group, position, normal, direction, ray.take(new), triangle.take(new),
                     travelled.take(new), hits.u.take(met.take(new)), hits.v.take(met.take(new)),
                 )  # fmt: skip
-            # A ray may meet a triangle that it grazes again and again: ever further then, and from the first by
-            # a step that float32 does not round away.
+            # A ray may meet a triangle that it grazes again and again: ever further then, and by no step that
+            # float32 rounds away.
             offset = np.maximum(self._triangles.offset.take(triangle), np.float32(1e-30))
             offset = np.maximum(offset, _ULPS * np.maximum(size.take(ray), travelled))
             step = np.where(further < 4 * step, 2 * step, offset)

@@ -47,6 +47,7 @@ class SingleScattering:
     screen_dimensions : 2 of a pixel, and 2 of a lens.
     sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others; and of
         those among these that it takes, too. Lights that no fog gets light of are in none.
+    sine : (L,) of half the angles that suns fill, 0 of others.
     """
 
     def __init__(
@@ -65,10 +66,13 @@ class SingleScattering:
         self.shadows = Shadows(surfaces, shader, settings.transparent_bounces)
         self.screen_dimensions = rays.dimensions
         bare, small = np.zeros((2, len(lights)), bool)
+        self.sine = np.zeros(len(lights))
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             if isinstance(group, PointEmitters | SunEmitters):
                 bare[start:stop] = group.size == 0
             small[start:stop] = isinstance(group, DiskEmitters | SphereEmitters)
+            if isinstance(group, SunEmitters):
+                small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
         # Whole rays know but light and dark: where shadows are coloured, points are sampled.
         bare &= not surfaces.any_transparent
         # What is infinitely far is behind a fog that fills all space.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lanes to points of small lights: balls, and disks that face the fog.
+"""Lanes to points of small lights: balls, disks that face the fog, and suns.
 
 From every place x of a ray a light fills a cone of directions, which `emitters.points` samples evenly. A
 lane keeps one place (p, q) in the unit disk: its direction turns with x as the cone does, in a frame in which
@@ -22,10 +22,11 @@ from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..geometry.warps import basis, concentric_disk, sin_sqr_to_one_minus_cos
 from ..integration.sobol import hash_combine, unit_float
-from .bare_lights import BALL, BARE, DISK, POINT, SPOT, SUN
+from .bare_lights import BALL, BARE, DISK, POINT, SPOT, SUN, BareLights
 from .fog_lanes import (
     SHORT,
     AboutPoints,
+    FogSegments,
     Lanes,
     TowardsSuns,
     columns,
@@ -45,20 +46,14 @@ class AboutSmall(AboutPoints, ABC):
 
     def _choose_points(self, aside):
         n, along, foot = len(self), self.along, self._foot
-        opposite = self._lights.opposite.take(self.light)
-        u = self._segments.lamp
-        if u is None:
-            u = np.stack([unit_float(hash_combine(self._segments.bits, i)) for i in range(2)])
-        u = take(u, self.segment) + take(self._lights.lamp, self.light).astype(np.float32)
-        self.turn = np.broadcast_to(np.where(opposite, np.float32(0.5), np.float32(0)), n)
+        u = _of_rays(self._segments, self._lights, self.segment, self.light)
+        self.turn = _turns(self._lights, self.light, n)
         if self.several is not None:
             # A lattice of them.
             u[0] += (self._pair / self.several).astype(np.float32)
             u[1] += (self._pair * _GOLDEN).astype(np.float32)
             self.turn = ((self._pair + self.turn) / self.several).astype(np.float32)
-        u -= np.floor(u)
-        # Opposite on the disk, too.
-        self._place = np.stack(concentric_disk(*np.where(opposite, 1 - u, u)))
+        self._place = _on_disks(self._lights, self.light, u)
         self._aside = aside.astype(np.float32)
         # The ray's direction, that from the light to its foot, and their normal: of the line through the
         # centre any will do.
@@ -226,6 +221,42 @@ class AboutBalls(AboutSmall):
         return np.where(d <= self._radius, 1, super()._in_cone(vectors, d))
 
 
+class TowardsDisks(TowardsSuns):
+    """Lanes to points of suns that fill an angle."""
+
+    def _directions(self):
+        axis, sine = (take(x, self.light) for x in (self._lights.position, self._lights.radius))
+        u = _of_rays(self._segments, self._lights, self.segment, self.light)
+        self.turn = _turns(self._lights, self.light, len(self))
+        # As `warps.cap`.
+        p, q = _on_disks(self._lights, self.light, u)
+        one_minus_cos = sin_sqr_to_one_minus_cos(sine * sine)
+        below = (p * p + q * q) * one_minus_cos
+        scale = np.sqrt(one_minus_cos * (2 - below))
+        s, t = basis(axis)
+        return scale * (p * s + q * t) + (1 - below) * axis
+
+
+def _of_rays(segments: FogSegments, lights: BareLights, segment: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(2, n) float32, where lanes have their points: of a ray for all lights, moved for each."""
+    u = segments.lamp
+    if u is None:
+        u = np.stack([unit_float(hash_combine(segments.bits, i)) for i in range(2)])
+    return take(u, segment) + take(lights.lamp, light).astype(np.float32)
+
+
+def _turns(lights: BareLights, light: np.ndarray, count: int) -> np.ndarray:
+    """(count,) of pairs, as `Lanes.turn`."""
+    opposite = lights.opposite.take(light)
+    return np.broadcast_to(np.where(opposite, np.float32(0.5), np.float32(0)), count)
+
+
+def _on_disks(lights: BareLights, light: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(2, n) places on the unit disk, of u (2, n) modulo 1, or opposite to that."""
+    u = u - np.floor(u)
+    return np.stack(concentric_disk(*np.where(lights.opposite.take(light), 1 - u, u)))
+
+
 LANES: dict[tuple[int, int], type[Lanes]] = {
     (POINT, BARE): AboutPoints,
     (POINT, DISK): AboutDisks,
@@ -234,5 +265,6 @@ LANES: dict[tuple[int, int], type[Lanes]] = {
     (SPOT, DISK): AboutDisks,
     (SPOT, BALL): AboutBalls,
     (SUN, BARE): TowardsSuns,
+    (SUN, DISK): TowardsDisks,
 }
 """Of lights of each kind and shape."""

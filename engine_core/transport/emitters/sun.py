@@ -16,7 +16,7 @@ from .base import Emitters, of
 class SunEmitters(Emitters):
     """Suns, sampled by their cone. Measure: 1.
 
-    axis : (3, L) float32, unit, towards them.
+    axis : (3, L) float32, unit, towards them. sine : (L,) float32, of half the angles that they fill.
     """
 
     at_infinity = True
@@ -31,7 +31,7 @@ class SunEmitters(Emitters):
         super().__init__(strength, size, [light.casts_shadow for light in lights])
         self.axis = np.array([-light.direction for light in lights], np.float32).T.copy()
         self._one_minus_cos = (2 * np.sin(half / 2) ** 2).astype(np.float32)
-        self._sin = np.sin(half).astype(np.float32)
+        self.sine = np.sin(half).astype(np.float32)
         self._frames = basis(self.axis)
         self._any_size = bool((half > 0).any())
         self.is_point = not self._any_size
@@ -50,7 +50,7 @@ class SunEmitters(Emitters):
 
     def irradiance(self, position, normal, which=None):
         cosine = dot(self._column(self.axis, which), normal[:, None, :])
-        size = self._column(self._sin, which)
+        size = self._column(self.sine, which)
         return self._column(self._brightness, which) * np.clip((cosine + size) / (1 + size), 0, 1)
 
     def pdf(self, which, position, normal, to_light):

@@ -185,7 +185,11 @@ class ScreenPicture:
             tree = RegionTree(bins, 2, log_edge, evaluator, False)
 
             def done() -> bool:
-                return enough() or (not alone and _calm(tree, settings.samples))
+                if alone or enough():
+                    return enough()
+                # More nodes take nothing off the noise along rays.
+                tried = self._otherwise and evaluator.evaluations > HOPELESS[0][0] * budget
+                return (tried and _deviation(tree, 0.0) > WORSE) or _calm(tree, settings.samples)
 
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, done, HOPELESS, EVERYWHERE)
             helps &= not self._otherwise or _deviation(tree) < WORSE
@@ -535,10 +539,13 @@ def _calm(tree: RegionTree, samples: int) -> bool:
     return wanted <= CALM * SPECK * bright * (CHANCE + 1 / PILOT_ONE_IN)
 
 
-def _deviation(tree: RegionTree) -> float:
-    """Of samples, over the mean of what they are of, as nodes say: of the residual, and noise along rays."""
+def _deviation(tree: RegionTree, of_residual: float = 1.0) -> float:
+    """Of samples, over the mean of what they are of, as nodes say: that ``of_residual``, as far as it counts,
+    and noise along rays.
+    """
     leaves, weights = tree.leaves(), face_weights(2)
-    deviation, mean = leaves.density, sum(v.take(leaves.nodes) for v in tree.store.values) @ weights
+    deviation = of_residual * leaves.density
+    mean = sum(v.take(leaves.nodes) for v in tree.store.values) @ weights
     if tree.store.spread is not None:
         noise = np.atleast_2d(tree.store.spread)[0]
         deviation = deviation + noise.take(leaves.nodes) @ weights

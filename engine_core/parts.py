@@ -69,8 +69,8 @@ than the net's; and of that of glowing fog, whose points are in a direction and 
 know where it is."""
 
 SMALL, MOST_SMALL = 0.05, 128
-"""Radius of a light over its distance of rays, of half of these at most, so that whole rays see it as a few
-points; wider ones have nets. And lights up to which that is done."""
+"""Radius of a light over its distance of rays, of half of these at most, and of suns the sine of half their
+angle, so that whole rays see it as a few points; wider ones have nets. And up to how many lights."""
 
 RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""

@@ -15,7 +15,7 @@ POINT, SPOT, SUN = range(3)
 """Kinds of lights."""
 
 BARE, DISK, BALL = range(3)
-"""Their shapes: without size, disks that face the fog, balls."""
+"""Their shapes: without size, disks that face the fog, as suns of some angle are, and balls."""
 
 _NEXT_LIGHT = np.array([[0.7548776662466927], [0.5698402909980532]])
 """What lights' points are apart by on one ray, so that their errors even out: R2 of M. Roberts, 2018."""
@@ -30,7 +30,7 @@ class BareLights:
     kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
         cone's angle, and 1 over the width of its edge in cosines.
-    state : (L,) uint64, which fogs all of a light is in.
+    state : (L,) uint64, which fogs all of a light is in; without meaning for suns.
     shape, radius : (L,) `BARE`, `DISK` or `BALL`, and 0 of the first; of suns the sine of half their angle.
     lamp, opposite : (2, L) and (L,) bool, where on small ones their points are, of a ray that has its own at
         u: at u + lamp, modulo 1, or opposite to that.

@@ -32,6 +32,10 @@ Looks = tuple[int, int]
 """Nodes and checks of a line."""
 
 
+Seen = Callable[[Any, np.ndarray], np.ndarray]
+"""Of n lines and places s (..., n), or (Q, 1), on them: (..., n) bool what is seen from there."""
+
+
 class Lines(Protocol):
     """n lines, each in a variable s of [0, 1]; values of G groups and C channels there.
 
@@ -60,22 +64,12 @@ class Lines(Protocol):
 class LineIntegrals:
     """The rules for lines of one kind."""
 
-    def __init__(self, seen: Callable[[Any, np.ndarray], np.ndarray], points: int) -> None:
-        """seen : of lines (n,) and places s (..., n) or (Q, 1), (..., n) bool what is seen from there.
-        points : of the quadrature in each piece of a line.
-        """
-        self._seen, self._quadrature = seen, _Quadrature(points)
-
-    def by_points(self, lines: Lines, count: int, u: np.ndarray) -> np.ndarray:
-        """(G, C, n) the same by a point in each of ``count`` parts of a line, at u (n,)."""
-        s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
-        np.minimum(s, _LAST, out=s)
-        value = lines.smooth(s)
-        value *= self._seen(lines, s)
-        return value.mean(axis=2, dtype=np.float64)
+    def __init__(self, points: int) -> None:
+        """points : of the quadrature in each piece of a line."""
+        self._quadrature = _Quadrature(points)
 
     def integral(
-        self, lines: Lines, looks: Looks, u: np.ndarray | None
+        self, lines: Lines, seen: Seen, looks: Looks, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """(G, C, n) integrals of `Lines.smooth` times visibility over s, for u (2, n); None for none.
 
@@ -90,17 +84,17 @@ class LineIntegrals:
             shift = wrapped(shift + lines.turn)
             u = None if u is None else wrapped(u[:2] + lines.turn)
         s = _places(nodes, shift)
-        seen = self._seen(lines, s)
-        result = pieces.whole * seen[-1]
-        step, line = np.nonzero(seen[1:] != seen[:-1])
+        told = seen(lines, s)
+        result = pieces.whole * told[-1]
+        step, line = np.nonzero(told[1:] != told[:-1])
         error = edges = None
         low = high = np.zeros(0)
         if line.size:
-            part, lit = lines.take(line), seen[step, line]
+            part, lit = lines.take(line), told[step, line]
             low, high = s[step, line], s[step + 1, line]
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + high)
-                same = self._seen(part, middle) == lit
+                same = seen(part, middle) == lit
                 low, high = np.where(same, middle, low), np.where(same, high, middle)
             edge = 0.5 * (low + high) if u is None else np.where(lit, low, high)
             change = pieces.integral(line, edge)
@@ -110,37 +104,47 @@ class LineIntegrals:
                 rough *= (0.5 * (high - low)).astype(np.float32)
                 error = _sums(line, rough * rough, len(lines))
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
-                lone = ((seen[1:-1] != seen[:-2]) & (seen[1:-1] != seen[2:])).sum(axis=0)
+                lone = ((told[1:-1] != told[:-2]) & (told[1:-1] != told[2:])).sum(axis=0)
                 error += pieces.whole**2 * (lone / (nodes * checks))
                 error, edges = np.sqrt(error), np.bincount(line, minlength=len(lines))
             else:
                 at = low + (high - low) * u[0].take(line)
-                change += part.smooth(at) * ((high - low) * self._seen(part, at)).astype(np.float32)
+                change += part.smooth(at) * ((high - low) * seen(part, at)).astype(np.float32)
             result += _sums(line, change, len(lines))
         if u is not None:
-            result += self._checked(lines, pieces, shift, seen, (step, line, low, high), checks, u[1])
+            result += self._checked(lines, seen, pieces, shift, told, (step, line, low, high), checks, u[1])
         return result, error, edges
 
+    @staticmethod
+    def by_points(lines: Lines, seen: Seen, count: int, u: np.ndarray) -> np.ndarray:
+        """The same by a point in each of ``count`` parts of a line, at u (n,)."""
+        s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
+        np.minimum(s, _LAST, out=s)
+        value = lines.smooth(s)
+        value *= seen(lines, s)
+        return value.mean(axis=2, dtype=np.float64)
+
+    @staticmethod
     def _checked(
-        self,
         lines: Lines,
+        seen: Seen,
         pieces: _Pieces,
         shift: np.ndarray,
-        seen: np.ndarray,
+        told: np.ndarray,
         edges: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
         checks: int,
         u: np.ndarray,
     ) -> np.ndarray:
-        """(G, C, n) what is missing where nodes say ``seen`` (K, n), by a few rays placed by u (n,).
+        """(G, C, n) what is missing where nodes say ``told`` (K, n), by a few rays placed by u (n,).
 
         edges : steps, lines, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
         # Rays ask what is seen at places in each part of a line; how right the polynomial is needs but one.
         part = np.arange(checks, dtype=np.float32)[:, None]
         at = np.concatenate([u[None], (u + part) / checks])
-        steps, here = len(seen) - 1, np.arange(len(lines))
+        steps, here = len(told) - 1, np.arange(len(lines))
         cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
-        believed, known = seen[cell, here], np.ones(at.shape, bool)
+        believed, known = told[cell, here], np.ones(at.shape, bool)
         step, line, low, high = edges
         if line.size:
             row = np.full((steps, len(lines)), -1)
@@ -149,14 +153,14 @@ class LineIntegrals:
             near = np.nonzero(row >= 0)
             place, row = at[near], row[near]
             below = place < low.take(row)
-            believed[near] = np.where(below, believed[near], seen[cell + 1, here][near])
+            believed[near] = np.where(below, believed[near], told[cell + 1, here][near])
             known[near] = below | (place > high.take(row))
         lit = np.flatnonzero(believed[0] & known[0])
         missing = np.zeros((*pieces.whole.shape[:2], len(lines)))
         if lit.size:
             place = at[0].take(lit)
             missing[:, :, lit] = lines.take(lit).smooth(place) - pieces.value(lit, place)
-        wrong, line = np.nonzero((self._seen(lines, at[1:]) != believed[1:]) & known[1:])
+        wrong, line = np.nonzero((seen(lines, at[1:]) != believed[1:]) & known[1:])
         if line.size:
             change = lines.take(line).smooth(at[1 + wrong, line])
             share = np.float32(1 / checks)

@@ -123,7 +123,7 @@ class ScatteredAlongRay(Scattered):
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         self._few = FEW
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
-        self._integrals = LineIntegrals(self._seen, POINTS_OF_PEAKS if peaked else POINTS)
+        self._integrals = LineIntegrals(POINTS_OF_PEAKS if peaked else POINTS)
         kinds = self._bare.kind
         # To each light.
         self.nodes, self.checks = nodes * pair, self._checks * pair
@@ -222,7 +222,7 @@ class ScatteredAlongRay(Scattered):
         """(G, C, n) integrals of `Lanes.smooth` times visibility, by a point in each part, at u (n,)."""
         # Of many lights the errors of one place in all of their lanes would add up.
         u = (u + lanes.light * np.float32(_GOLDEN)) % 1
-        return self._integrals.by_points(lanes, self._few, u)
+        return self._integrals.by_points(lanes, self._seen, self._few, u)
 
     def _lanes(
         self, segments: FogSegments, bare: BareLights, whole: bool = False
@@ -250,7 +250,7 @@ class ScatteredAlongRay(Scattered):
         self, lanes: Lanes, looks: Looks, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         """As `LineIntegrals.integral`."""
-        return self._integrals.integral(lanes, looks, u)
+        return self._integrals.integral(lanes, self._seen, looks, u)
 
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
@@ -285,7 +285,7 @@ class PointsOfRay(ScatteredAlongRay):
 
     def _integral(self, lanes: Lanes, looks: Looks, u: np.ndarray | None) -> tuple[np.ndarray, None, None]:
         at = u[0] if lanes.turn is None else wrapped(u[0] + lanes.turn)
-        return self._integrals.by_points(lanes, looks[0], at), None, None
+        return self._integrals.by_points(lanes, self._seen, looks[0], at), None, None
 
 
 class NextToLight(PointsOfRay):

@@ -7,7 +7,7 @@
     L = integral along the ray of T(t) sum_lights sigma_s p(cos) fluence V T_light dt     (thesis eq. 6.1)
 
 Here is what all estimates of it share: `scattered_light` has points of any lights, `ray_rule` whole rays of
-those without size, `laser_in_fog` the light of beams.
+those without size and of small ones, `laser_in_fog` the light of beams.
 """
 
 from __future__ import annotations

@@ -8,8 +8,9 @@ nothing but that: it is what a light without size would have, times
 
     2 (1 - cos a) d^2 / r^2,     sin a = r / d of a ball, tan a = r / d of a disk.
 
-So all that is left to chance is where shadows are, and cones of spots. Lights' opposite points see these to
-either side of where the centre does, by as much, and their mean errs by the square of that alone.
+A sun's direction is the same everywhere, and its fluence, too. So all that is left to chance is where
+shadows are, and cones of spots. Lights' opposite points see these to either side of where the centre does, by
+as much, and their mean errs by the square of that alone.
 """
 
 from __future__ import annotations

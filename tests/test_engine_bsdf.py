@@ -213,6 +213,18 @@ def test_a_lobe_seen_from_behind_is_black():
     assert not _albedo(lobe, 32).any()
 
 
+def test_a_tangent_along_the_normal_is_as_good_as_none():
+    """What is left of it is what was rounded off, which leads anywhere."""
+    random = np.random.default_rng(3)
+    normal = random.normal(size=(3, 4000)).astype(np.float32)
+    normal /= np.linalg.norm(normal, axis=0)
+    for off in (0.0, 1e-7, 1e-6, 1e-3):
+        direction = (normal * (1 + off * random.normal(size=normal.shape))).astype(np.float32)
+        tangent = tangent_along(direction, normal, np.float32(0.0))
+        assert np.abs((tangent * normal).sum(axis=0)).max() < 1e-5
+        assert np.abs(np.linalg.norm(tangent, axis=0) - 1).max() < 1e-5
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_everything_is_finite(kind: type):
     rng = np.random.default_rng(2)

@@ -41,8 +41,11 @@ def valid_reflection_normal(
 def tangent_along(direction: np.ndarray, normal: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """(3, N) unit tangents: ``direction`` made perpendicular, and turned about the normal ``turn`` times."""
     across = direction - dot(direction, normal) * normal
-    scale = inverse_length(across)
-    x = np.where(scale > 0, across * scale, basis(normal)[0])
+    across *= inverse_length(across)
+    # Of what is all but along the normal that left what was rounded off, in any direction.
+    across -= dot(across, normal) * normal
+    left = np.sqrt(dot(across, across))
+    x = np.where(left > 0.5, across / np.maximum(left, np.float32(0.5)), basis(normal)[0])
     if not np.any(turn):
         return x
     angle = np.float32(2 * np.pi) * turn

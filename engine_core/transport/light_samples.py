@@ -328,8 +328,7 @@ class SceneLights(Lights):
         travelled, step = np.zeros((2, len(ray)), np.float32)
         last = np.full(len(ray), -1)
         casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
-        # In lengths of the direction, which may be tiny.
-        size = np.abs(position).max(axis=0) / np.maximum(np.abs(direction).max(axis=0), np.float32(1e-30))
+        size = np.abs(position).max(axis=0)
         while ray.size:
             origins = np.ascontiguousarray((take(position, ray) + take(direction, ray) * travelled).T)
             hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)

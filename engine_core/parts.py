@@ -22,6 +22,7 @@ from .settings import Settings
 from .transport.around_light import AroundLight, Block, Wedge, blocks, lit_angles, peaks, tamed, wedges
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
+from .transport.fog_rays import FogRays
 from .transport.glow_in_fog import ScatteredGlow
 from .transport.guide_in_fog import Guide
 from .transport.laser_in_fog import LaserInFog
@@ -74,6 +75,9 @@ angle, so that whole rays see it as a few points; wider ones have nets. And up t
 
 RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""
+
+NOISY = 0.07
+"""Of what suns bring, deviation along whole rays from which on a net serves them better."""
 
 LEARNING = 1 / 16
 """Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points
@@ -244,8 +248,13 @@ def _of_fog(
     bare, small = scattering.sizeless, scattering.small
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
-    small = small[_of_distance(scattering, small, region) < SMALL] if by_net else small[:0]
-    if len(small) > MOST_SMALL:
+    if by_net and small.size:
+        asked = _asked(scattering, region)
+        small = small[_of_distance(scattering, small, asked) < SMALL]
+        suns = small[scattering.sine[small] > 0]
+        if _noise_along(scattering, suns, asked) > NOISY:
+            small = np.setdiff1d(small, suns)
+    if not by_net or len(small) > MOST_SMALL:
         small = small[:0]
 
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
@@ -370,19 +379,29 @@ def _of_fog(
     return parts
 
 
-def _of_distance(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
-    """(L,) radii of lights (L,) over the median distance of rays' segments of fog; inf for none. Of suns the
-    sine of half their angle.
-    """
-    if lights.size == 0:
-        return np.zeros(0)
+def _asked(scattering: SingleScattering, region: Region) -> FogRays:
+    """A few rays, all over the picture."""
     x0, y0, x1, y1 = region
     x, y = (
         a.ravel()
         for a in np.meshgrid(np.linspace(x0, x1 - 1, RAYS_ASKED), np.linspace(y0, y1 - 1, RAYS_ASKED))
     )
     pixels = _pixels(region, x, y)
-    rays = scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
+    return scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
+
+
+def _noise_along(scattering: SingleScattering, lights: np.ndarray, rays: FogRays) -> float:
+    """What whole rays, without another sample, say that theirs deviate by, of what lights (L,) bring them."""
+    if lights.size == 0 or len(rays) == 0:
+        return 0.0
+    radiance, told = ScatteredAlongRay(scattering, lights).along(rays, None)
+    return float(told[0].sum() / max(radiance.sum(dtype=np.float64), 1e-300))
+
+
+def _of_distance(scattering: SingleScattering, lights: np.ndarray, rays: FogRays) -> np.ndarray:
+    """(L,) radii of lights (L,) over the median distance of rays' segments of fog; inf for none. Of suns the
+    sine of half their angle.
+    """
     if len(rays) == 0:
         return np.full(len(lights), np.inf)
     media, scene = rays.media, scattering.lights

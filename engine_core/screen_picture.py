@@ -117,10 +117,6 @@ cheap, and does more for the noise where many thin things shade the fog. Leaves 
 the picture; what gains, less than .3 in .25, or less than .05.
 """
 
-WORSE = 1 / 8
-"""Of what they are of, and in the mean, what nodes may say that samples deviate by where something else could
-serve an integral: 16 points of a net, which see a light or not, deviate by as much."""
-
 BEYOND_HOPE = 0.5
 """Part of its variance that a region's polynomial may leave over: where it is more, f itself is sampled."""
 
@@ -144,7 +140,6 @@ class ScreenPicture:
         self._whole, self._rule, self._alone = by.whole, by.rule, by.alone
         self._outlines, self._elsewhere = by.outlines, by.elsewhere
         self._wedges, self._bodies = by.wedges, by.bodies
-        self._otherwise = by.otherwise is not None
         self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own, as long as no sample is added to what the polynomials are.
@@ -185,14 +180,9 @@ class ScreenPicture:
             tree = RegionTree(bins, 2, log_edge, evaluator, False)
 
             def done() -> bool:
-                if alone or enough():
-                    return enough()
-                # More nodes take nothing off the noise along rays.
-                tried = self._otherwise and evaluator.evaluations > HOPELESS[0][0] * budget
-                return (tried and _deviation(tree, 0.0) > WORSE) or _calm(tree, settings.samples)
+                return enough() or (not alone and _calm(tree, settings.samples))
 
             helps = grow(tree, evaluator, budget, total, MOST_REGIONS, done, HOPELESS, EVERYWHERE)
-            helps &= not self._otherwise or _deviation(tree) < WORSE
             self.regions, self.nodes = len(tree), tree.store.count
             self._left -= min(evaluator.evaluations / SHADOW_RAYS, SHARE * total)
             if helps or alone:
@@ -537,19 +527,6 @@ def _calm(tree: RegionTree, samples: int) -> bool:
     bright = sum(float(regions.volume @ v.take(regions.nodes[:, middle])) for v in tree.store.values)
     wanted = float(regions.volume @ regions.density) * samples
     return wanted <= CALM * SPECK * bright * (CHANCE + 1 / PILOT_ONE_IN)
-
-
-def _deviation(tree: RegionTree, of_residual: float = 1.0) -> float:
-    """Of samples, over the mean of what they are of, as nodes say: that ``of_residual``, as far as it counts,
-    and noise along rays.
-    """
-    leaves, weights = tree.leaves(), face_weights(2)
-    deviation = of_residual * leaves.density
-    mean = sum(v.take(leaves.nodes) for v in tree.store.values) @ weights
-    if tree.store.spread is not None:
-        noise = np.atleast_2d(tree.store.spread)[0]
-        deviation = deviation + noise.take(leaves.nodes) @ weights
-    return float(leaves.volume @ deviation) / max(float(leaves.volume @ mean), 1e-300)
 
 
 def _hidden(regions: Regions, wedges: Sequence[Wedge], corner: tuple[int, int]) -> np.ndarray:

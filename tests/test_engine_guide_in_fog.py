@@ -39,7 +39,7 @@ def room() -> Scene:
         Camera.look_at((-1.5, -2.5, 1.5), (0.5, 2, 1.2), 48, 32, 1.2, clip_start=0.05),
         [*(box(*corners) for corners in walls), fog],
         [Material(0.0)],
-        [SunLight(20.0, direction=(-1, -0.1, -0.4), angle=0.02)],
+        [SunLight(20.0, direction=(-1, -0.1, -0.4), angle=0.12)],
         World((0.5, 0.7, 1.0)),
         volumes=[Volume(scattering=0.1)],
     )

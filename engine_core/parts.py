@@ -30,10 +30,11 @@ from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
 from .transport.light_choice import CELL
-from .transport.line_integrals import BISECTIONS, AlongRay
+from .transport.line_integrals import BISECTIONS
 from .transport.ray_rule import (
     ALL,
     RAY_POINTS,
+    AlongRay,
     NextToLight,
     PointsOfRay,
     ScatteredAlongRay,

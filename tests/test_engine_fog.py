@@ -26,8 +26,7 @@ from engine_core.shading.closures import Transparent
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.fog_lanes import FogSegments
-from engine_core.transport.line_integrals import AlongRay
-from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
+from engine_core.transport.ray_rule import AlongRay, PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
 from engine_core.transport.single_scattering import SingleScattering
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.vectors import dot, take
+from ..integration.inner_rules import InnerRule, Nodes
 from .around_light import Tamed
 from .bare_lights import BARE, POINT, SPOT, SUN, BareLights
 from .direct_light import SHADOW
@@ -317,6 +318,36 @@ class NextToLight(PointsOfRay):
         lane, u = lane.take(which), u.reshape(len(u), -1).take(which, axis=1)
         values, less = (self._estimate(rays, lane, u, lights)[0] for lights in (self._bare, self._tamed))
         return which, values - less
+
+
+class AlongRay(InnerRule):
+    """The rule of a control variate over the screen alone: a node's whole ray, without noise."""
+
+    batch = 1 << 16  # many short calls for a ray
+
+    def __init__(self, cost: int) -> None:
+        """cost : of a node, in evaluations."""
+        self._cost = cost
+
+    def cost(self, dimensions: int) -> int:
+        return self._cost
+
+    def integrate(self, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, int]:
+        count = len(nodes.lanes)
+        rays, lane, which = nodes.stage, nodes.lanes, None
+        if rays.lane is not None:
+            number = np.full(nodes.points, -1)
+            number[rays.lane] = np.arange(len(rays))
+            lane = number.take(lane)
+            which = np.flatnonzero(lane >= 0)
+            lane = lane.take(which)
+        everything = len(lane) == len(rays) and (lane == np.arange(len(rays))).all()
+        values, told = nodes.integrand.along(rays, None if everything else lane)
+        if which is not None:
+            dense, of_all = np.zeros((3, count), np.float32), np.zeros((2, count))
+            dense[:, which], of_all[:, which] = values, told
+            values, told = dense, of_all
+        return values, told, count * self._cost
 
 
 def _fewer_nodes(nodes: int, times: int) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
-from ..geometry.warps import basis, concentric_disk, sin_sqr_to_one_minus_cos
+from ..geometry.warps import basis, cap, concentric_disk, sin_sqr_to_one_minus_cos
 from ..integration.sobol import hash_combine, unit_float
 from .bare_lights import BALL, BARE, DISK, POINT, SPOT, SUN, BareLights
 from .fog_lanes import (
@@ -33,6 +33,7 @@ from .fog_lanes import (
     columns,
     within_cones,
 )
+from .line_integrals import wrapped
 
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -54,7 +55,7 @@ class AboutSmall(AboutPoints, ABC):
             u[0] += (self._pair / self.several).astype(np.float32)
             u[1] += (self._pair * _GOLDEN).astype(np.float32)
             self.turn = ((self._pair + self.turn) / self.several).astype(np.float32)
-        self._place = _on_disks(self._lights, self.light, u)
+        self._place = np.stack(concentric_disk(*_opposite(self._lights, self.light, u)))
         self._aside = aside.astype(np.float32)
         # The ray's direction, that from the light to its foot, and their normal: of the line through the
         # centre any will do.
@@ -229,13 +230,9 @@ class TowardsDisks(TowardsSuns):
         axis, sine = (take(x, self.light) for x in (self._lights.position, self._lights.radius))
         u = _of_rays(self._segments, self._lights, self.segment, self.light)
         self.turn = _turns(self._lights, self.light, len(self))
-        # As `warps.cap`.
-        p, q = _on_disks(self._lights, self.light, u)
-        one_minus_cos = sin_sqr_to_one_minus_cos(sine * sine)
-        below = (p * p + q * q) * one_minus_cos
-        scale = np.sqrt(one_minus_cos * (2 - below))
+        x, y, below = cap(*_opposite(self._lights, self.light, u), sin_sqr_to_one_minus_cos(sine * sine))
         s, t = basis(axis)
-        return scale * (p * s + q * t) + (1 - below) * axis
+        return x * s + y * t + (1 - below) * axis
 
 
 def _of_rays(segments: FogSegments, lights: BareLights, segment: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -252,10 +249,10 @@ def _turns(lights: BareLights, light: np.ndarray, count: int) -> np.ndarray:
     return np.broadcast_to(np.where(opposite, np.float32(0.5), np.float32(0)), count)
 
 
-def _on_disks(lights: BareLights, light: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(2, n) places on the unit disk, of u (2, n) modulo 1, or opposite to that."""
-    u = u - np.floor(u)
-    return np.stack(concentric_disk(*np.where(lights.opposite.take(light), 1 - u, u)))
+def _opposite(lights: BareLights, light: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(2, n) u (2, n) modulo 1, or, of half of the pairs, what is opposite to that: on a disk, too."""
+    u = wrapped(u)
+    return np.where(lights.opposite.take(light), 1 - u, u)
 
 
 LANES: dict[tuple[int, int], type[Lanes]] = {

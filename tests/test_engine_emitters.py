@@ -15,7 +15,7 @@ from scipy import stats
 from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight, SunLight, World
 from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
-from engine_core.transport.emitters import Emitters, MeshEmitters, emitter_groups
+from engine_core.transport.emitters import Emitters, MeshEmitters, Pieces, emitter_groups
 
 SAMPLES = 200_000
 ROWS, COLUMNS, FINE = 20, 40, 24
@@ -46,7 +46,7 @@ class Case:
         triangles, _ = gather_triangles(self.meshes, FRAME)
         if self.meshes:
             # As one light, however few its triangles.
-            return MeshEmitters(np.ones((1, 3)), [np.arange(len(triangles))], triangles)
+            return MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(len(triangles))]))
         groups, messages = emitter_groups(self.lights, self.world, (Material(),), triangles, FRAME)
         assert len(groups) == 1 and len(groups[0]) == 1 and not messages
         return groups[0]
@@ -160,14 +160,14 @@ def _half_disk(name: str, count: int, centre: Any = (0.5, -0.4, 2.0)) -> Case:
 
     figure = _in_plane(matrix, 1.0, inside)
     triangles, _ = gather_triangles((mesh,), FRAME)
-    group = MeshEmitters(np.ones((1, 3)), [np.arange(count)], triangles)
+    group = MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(count)]))
 
     def density(d: np.ndarray) -> np.ndarray:
         to_light = d * ((matrix[:3, 3] - POINT) @ matrix[:3, 2] / (matrix[:3, 2] @ d))
         x, y, _ = matrix[:3, :3].T @ (to_light + POINT[:, None] - matrix[:3, 3:])
         wedge = np.clip(np.searchsorted(angle, np.arctan2(y, x)) - 1, 0, count - 1)
         where = (np.tile(v.astype(np.float32)[:, None], d.shape[1]) for v in (POINT, NORMAL))
-        pdf = group.pdf_of_triangle(wedge, *where, to_light.astype(np.float32)).astype(float)
+        pdf = group.pdf_of_piece(wedge, *where, to_light.astype(np.float32)).astype(float)
         return np.where(figure(d) > 0, pdf, 0)
 
     axis = _unit(mesh.vertices.mean(axis=0) - POINT)

@@ -17,7 +17,7 @@ from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight,
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.shading.closures import Emission
 from engine_core.shading.values import OfSurface
-from engine_core.transport.emitters import Emitters, MeshEmitters, emitter_groups
+from engine_core.transport.emitters import Emitters, MeshEmitters, Pieces, emitter_groups
 from engine_core.transport.light_samples import SceneLights
 from engine_core.transport.surface_shading import SurfaceShader
 
@@ -48,7 +48,7 @@ def _group(*lights: Light, world: World | None = None) -> Emitters:
 def _mesh(*corners: np.ndarray) -> MeshEmitters:
     mesh = Mesh(np.concatenate(corners), np.arange(3 * len(corners)).reshape(-1, 3))
     triangles, _ = gather_triangles([mesh], FRAME)
-    return MeshEmitters(np.ones((1, 3)), [np.arange(len(corners))], triangles)
+    return MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(len(corners))]))
 
 
 def _scaled(scale: float, points: Any, pose: np.ndarray = POSE) -> np.ndarray:
@@ -264,7 +264,7 @@ def case(request: pytest.FixtureRequest) -> tuple[Emitters, np.ndarray]:
 def _pdf(group: Emitters, point: np.ndarray, to_light: np.ndarray, triangle: np.ndarray | None) -> np.ndarray:
     position = np.tile(point[:, None], to_light.shape[1])
     if group.is_mesh:
-        return group.pdf_of_triangle(triangle, position, None, to_light)
+        return group.pdf_of_piece(triangle, position, None, to_light)
     return group.pdf(None, position, None, to_light)
 
 
@@ -320,7 +320,7 @@ def test_measure_is_one_over_the_density(case):
     triangle = None
     if group.is_mesh:
         position = np.tile(point[:, None], to_light.shape[1])
-        triangle, _, _ = group.point_of(None, u[0], position, to_light)
+        triangle = group.piece(None, position, u[0])
     product = _pdf(group, point, to_light, triangle) * measure
     assert np.quantile(np.abs(product - 1), 0.999) < 2e-3
 

@@ -85,21 +85,21 @@ def _mesh(random: np.random.Generator, count: int) -> tuple[Emitters, np.ndarray
 
 def test_mesh_tells_where_it_was_sampled_and_with_which_density():
     group, corners = _mesh(np.random.default_rng(8), 40)
-    assert group.light_of[0] == -1 and (group.light_of[1:] >= 0).all()
+    assert (group.row > 0).all()
     count = 20_000
     random = np.random.default_rng(6)
     which = random.integers(0, len(group), count)
     u = random.random((3, count), np.float32)
     where = _at(count)
     to_light, measure = group.sample(which, *where, u[0], u[1:])
-    triangle, b1, b2 = group.point_of(which, u[0], where[0], to_light)
-    assert (group.light_of[triangle] == which).all()
+    piece = group.piece(which, where[0], u[0])
+    assert (group.light_of[piece] == which).all()
+    triangle, b1, b2 = group.place_of(piece, where[0], to_light)
     a, b, c = corners[triangle].transpose(1, 2, 0)
     point = a + b1 * (b - a) + b2 * (c - a)
     assert np.quantile(np.abs(point - where[0] - to_light), 0.99) < 1e-5
-    pdf = group.pdf_of_triangle(triangle, *where, to_light)
+    pdf = group.pdf_of_piece(piece, *where, to_light)
     assert np.allclose(pdf * measure * group.size[which], 1, rtol=1e-3)
-    assert not group.pdf_of_triangle(np.zeros(count, int), *where, to_light).any()
 
 
 MANY = {
@@ -278,7 +278,7 @@ def test_emissive_triangles_have_their_solid_angle(shape: str, scale: float):
     values = measure.astype(float) * group.size[0]
     assert np.isfinite(values).all()
     assert abs(values.mean() - truth) < 5 * values.std() / np.sqrt(count) + 2e-4 * truth
-    pdf = group.pdf_of_triangle(np.zeros(count, int), *at, to_light)
+    pdf = group.pdf_of_piece(np.zeros(count, int), *at, to_light)
     assert np.quantile(np.abs(pdf * values - 1), 0.99) < 1e-3
 
 

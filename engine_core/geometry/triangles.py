@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Triangles:
     terminator_offset : float32, scalar or (T,), Cycles' shadow terminator geometry offset.
     visible_to_camera, casts_shadow, holdout : (T,) bool, or a bool if all agree.
     attributes : tables of what meshes have at their corners, by name.
+    first : (M + 1,) int64, where each mesh begins.
     """
 
     vertices: np.ndarray
@@ -41,7 +42,8 @@ class Triangles:
     visible_to_camera: np.ndarray | bool
     casts_shadow: np.ndarray | bool
     holdout: np.ndarray | bool
-    attributes: dict[str, CornerTable] = field(default_factory=dict)
+    attributes: dict[str, CornerTable]
+    first: np.ndarray
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -130,6 +132,7 @@ def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, l
         per_triangle("casts_shadow", bool),
         per_triangle("holdout", bool),
         _corner_tables(parts, counts, select),
+        np.cumsum([0, *counts]),
     )
     return triangles, messages
 

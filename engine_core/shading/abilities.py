@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,11 @@ from .values import Value
 
 @dataclass(frozen=True)
 class Abilities:
-    """emits : radiance of its own. transmits : light straight on. holds_out : cuts a hole into alpha."""
+    """emits : radiance of its own. varies : not the same everywhere and to all sides. transmits : light
+    straight on. holds_out : cuts a hole into alpha."""
 
     emits: bool = False
+    varies: bool = False
     transmits: bool = False
     holds_out: bool = False
 
@@ -27,21 +29,29 @@ class Abilities:
 def abilities(closure: Any) -> Abilities:
     """Of a closure with all that it is mixed of; None is black."""
     if isinstance(closure, Emission):
-        return Abilities(emits=_may(closure.strength) and _may(closure.color))
+        emits = _may(closure.strength) and _may(closure.color)
+        return Abilities(emits, emits and _any_value(closure.strength, closure.color))
     if isinstance(closure, Transparent):
         return Abilities(transmits=_may(closure.color))
     if isinstance(closure, Holdout):
         return Abilities(holds_out=True)
     if isinstance(closure, Principled):
-        return Abilities(
-            emits=_may(closure.emission_strength) and _may(closure.emission_color),
-            transmits=_may(closure.alpha, but=1.0),
-        )
+        emits = _may(closure.emission_strength) and _may(closure.emission_color)
+        # A coat is above what emits.
+        on_the_way = closure.emission_strength, closure.emission_color, closure.alpha
+        varies = _any_value(*on_the_way) or _may(closure.coat_weight)
+        return Abilities(emits, emits and varies, transmits=_may(closure.alpha, but=1.0))
     found = Abilities()
     for part in ("first", "second"):
         if hasattr(closure, part):
             found = found | abilities(getattr(closure, part))
+    if found.emits and _any_value(getattr(closure, "factor", 0.0)):
+        found = replace(found, varies=True)
     return found
+
+
+def _any_value(*values: Any) -> bool:
+    return any(isinstance(value, Value) for value in values)
 
 
 def _may(value: Any, but: float = 0.0) -> bool:

@@ -137,7 +137,7 @@ class DirectLight:
         self.surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
         times.append(perf_counter())
         materials = shader.with_mean_emission(scene.materials)
-        groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame)
+        groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame, transmits)
         self.messages += messages
         self.lights = SceneLights(groups, shader, triangles)
         times.append(perf_counter())

@@ -91,16 +91,18 @@ class AirLights:
     def __init__(self, lights: Lights, only: np.ndarray | None = None) -> None:
         self.only = np.arange(len(lights)) if only is None else np.asarray(only, np.intp)
         axis, cos, brightness = np.zeros((3, len(lights))), np.full(len(lights), -1.0), np.zeros(len(lights))
-        flat = np.zeros(len(lights), bool)
+        flat, turns = np.zeros((2, len(lights)), bool)
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             brightness[start:stop] = group.far_fluence
             if group.cone_cos is not None:
                 axis[:, start:stop], cos[start:stop] = group.cone_axis, group.cone_cos
             if group.is_flat:
                 flat[start:stop], self._flat_group, self._first_flat = True, group, start
+            if group.is_mesh:
+                turns[start:stop], self._mesh, self._first_of_mesh = True, group, start
         self._far_off = np.isinf(lights.reach.take(self.only))
         cos = cos.take(self.only)
-        self.coned, self._flat = cos >= 0, flat.take(self.only)
+        self.coned, self._flat, self._turns = cos >= 0, flat.take(self.only), turns.take(self.only)
         reach = np.where(self._far_off, 0, lights.reach.take(self.only))
         centre, axis = take(lights.centre, self.only), take(axis, self.only)
         # The cone that holds all points' cones begins behind the light: about its sphere, or its rim if flat.
@@ -191,7 +193,14 @@ class AirLights:
                 quarter = 0.25 * (end[flat] - low[flat])
                 t = np.clip(foot[flat], low[flat] + quarter, end[flat] - quarter)
                 hump[flat] *= self._falloff(which.take(flat), t * direction[:, None, :] - to_light[:, flat])
-        return np.maximum(*humps, out=humps[0])
+        estimate = np.maximum(*humps, out=humps[0])
+        turning = np.flatnonzero(self._turns.take(which))
+        if turning.size:
+            # Where the segment is nearest, as there most of it comes from.
+            vector = nearest[turning] * direction[:, None, :] - to_light[:, turning]
+            number = self.only.take(which.take(turning)) - self._first_of_mesh
+            estimate[turning] *= self._mesh.facing(number[:, None], vector)
+        return estimate
 
     @staticmethod
     def _seen(

@@ -78,7 +78,8 @@ class SceneLights(Lights):
             self._varies = shader.varying_emission[triangles.material]
             self._any_varies = bool(self._varies[self._mesh.row].any())
             if not shader.lambertian:
-                self._tracer = RayTracer(triangles.vertices, triangles.indices[self._mesh.row])
+                corners = self._mesh.corners.reshape(-1, 3)
+                self._tracer = RayTracer(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
         self._has_tint = any(group.has_tint for group in groups) or bool(
             self._mesh is not None and self._any_varies
         )
@@ -212,7 +213,7 @@ class SceneLights(Lights):
                 strength[:, part] *= group.tint(which, to_light)
             elif group.is_mesh and self._any_varies:
                 here = position[:, part] if at is None else take(position, at[part])
-                triangle, u, v = group.point_of(which, w[part], here, to_light)
+                triangle, u, v = group.place_of(group.piece(which, here, w[part]), here, to_light)
                 size = group.size[0 if which is None else which].astype(np.float32)
                 size = np.broadcast_to(size, len(triangle))
                 rows = np.flatnonzero(self._varies.take(triangle))
@@ -265,8 +266,7 @@ class SceneLights(Lights):
         for group, part, which in self._parts(light):
             where = position[:, part], None if normal is None else normal[:, part], to_light[:, part]
             if group.is_mesh:
-                triangle, _, _ = group.point_of(which, w[part], where[0], where[2])
-                density[part] = group.pdf_of_triangle(triangle, *where)
+                density[part] = group.pdf_of_piece(group.piece(which, where[0], w[part]), *where)
             else:
                 density[part] = group.pdf(which, *where)
         if not self.sized.all():
@@ -334,13 +334,14 @@ class SceneLights(Lights):
             hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)
             met = np.flatnonzero(hits.triangle >= 0)
             ray, travelled, step, last = (x.take(met) for x in (ray, travelled, step, last))
-            triangle = group.row.take(hits.triangle.take(met))
+            piece = hits.triangle.take(met)
+            triangle = group.row.take(piece)
             further = hits.distance.take(met)
             travelled += further
             new = np.flatnonzero(triangle != last)
             if new.size:
                 yield self._met(
-                    group, position, normal, direction, ray.take(new), triangle.take(new),
+                    group, position, normal, direction, ray.take(new), piece.take(new),
                     travelled.take(new), hits.u.take(met.take(new)), hits.v.take(met.take(new)),
                 )  # fmt: skip
             # A ray may meet a triangle that it grazes again and again: ever further then, and by no step that
@@ -356,12 +357,13 @@ class SceneLights(Lights):
                 triangle.take(on),
             )
 
-    def _met(self, group, position, normal, direction, ray, triangle, distance, u, v):
-        """What `along` says of triangles (K,) that rays (K,) meet."""
-        light = group.light_of.take(triangle)
+    def _met(self, group, position, normal, direction, ray, piece, distance, u, v):
+        """What `along` says of pieces (K,) that rays (K,) meet."""
+        light = group.light_of.take(piece)
         to_light = take(direction, ray) * distance
-        density = group.pdf_of_triangle(triangle, take(position, ray), take(normal, ray), to_light)
+        density = group.pdf_of_piece(piece, take(position, ray), take(normal, ray), to_light)
         radiance = take(group.radiance, light)
+        triangle, u, v = group.on_scene(piece, u, v)
         varies = np.flatnonzero(self._varies.take(triangle))
         if varies.size:
             radiance[:, varies] = self._emission(

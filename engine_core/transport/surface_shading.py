@@ -59,7 +59,7 @@ class SurfaceShader:
 
     lambertian : every one is, with constant reflectance and emission; nothing needs to be evaluated.
     emits, transmits : (number of materials,) bool, whether one can.
-    varying_emission : (number of materials,) bool, whether it may not be the same everywhere.
+    varying_emission : (number of materials,) bool, whether it may not be the same everywhere and to all sides.
     """
 
     def __init__(self, materials: Sequence[Material], triangles: Triangles, frame: Frame) -> None:
@@ -72,11 +72,10 @@ class SurfaceShader:
         self.lambertian = not any(m.surface is not None for m, u in zip(materials, used, strict=True) if u)
         self._closures = [_closure_of(material) for material in materials]
         able = [abilities(c) if u else Abilities() for c, u in zip(self._closures, used, strict=True)]
-        self.emits, self.transmits, self._holds_out = (
-            np.array([getattr(a, name) for a in able], bool) for name in ("emits", "transmits", "holds_out")
+        self.emits, self.varying_emission, self.transmits, self._holds_out = (
+            np.array([getattr(a, name) for a in able], bool)
+            for name in ("emits", "varies", "transmits", "holds_out")
         )
-        of_closure = np.array([m.surface is not None for m in materials], bool)
-        self.varying_emission = self.emits & of_closure
 
     @property
     def any_holdout(self) -> bool:

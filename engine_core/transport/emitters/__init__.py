@@ -21,7 +21,8 @@ from ...geometry.triangles import Triangles
 from ...scene import AreaLight, Light, Material, PointLight, SpotLight, SunLight, World
 from .area import AreaEmitters
 from .base import Emitters, LightHits, Sample
-from .mesh import CLUSTERS, MeshEmitters, emissive_clusters
+from .mesh import MeshEmitters
+from .mesh_pieces import CLUSTERS, Pieces, emissive_pieces
 from .points import DiskEmitters, PointEmitters, SphereEmitters
 from .sun import SunEmitters
 from .world import ImageWorldEmitter, WorldEmitter
@@ -34,6 +35,7 @@ __all__ = [
     "ImageWorldEmitter",
     "LightHits",
     "MeshEmitters",
+    "Pieces",
     "PointEmitters",
     "Sample",
     "SphereEmitters",
@@ -69,8 +71,12 @@ def emitter_groups(
     materials: Sequence[Material],
     triangles: Triangles,
     frame: Frame,
+    transmits: np.ndarray | None = None,
 ) -> tuple[list[Emitters], list[str]]:
-    """All that lights the scene, by kind, and messages about lights that are left out."""
+    """All that lights the scene, by kind, and messages about lights that are left out.
+
+    transmits : (number of materials,) bool, which let light straight through; None for none.
+    """
     messages, usable = [], []
     for light in lights:
         problem = _problem(light)
@@ -95,8 +101,9 @@ def emitter_groups(
         groups.append(WorldEmitter(world))
     if world.image is not None and (world.image > 0).any():
         groups.append(ImageWorldEmitter(world))
-    clusters = emissive_clusters(materials, triangles)
-    if clusters:
-        radiance = [materials[triangles.material[rows[0]]].emission for rows in clusters]
-        groups.append(MeshEmitters(np.maximum(radiance, 0), clusters, triangles))
+    pieces = emissive_pieces(materials, triangles, transmits)
+    if pieces is not None:
+        of_light = triangles.material[pieces.row[pieces.first[:-1]]]
+        radiance = [materials[number].emission for number in of_light]
+        groups.append(MeshEmitters(np.maximum(radiance, 0), pieces))
     return groups, messages

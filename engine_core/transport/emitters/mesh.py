@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...geometry.triangles import Triangles
 from ...geometry.vectors import dot, take
-from ...scene import Material
 from .base import Emitters, area_to_solid_angle, vectors_to
+from .mesh_pieces import Pieces
+from .patches import BACK, Facing, Patches, facing_of
 from .spherical import SphericalTriangle
 
 # Triangles are near within this times their longest edge.
@@ -20,41 +20,36 @@ _NEAR = 0.3
 class MeshEmitters(Emitters):
     """Meshes with an emissive material, from both sides: by area, measure |cos| / d^2.
 
-    A triangle that is large for the shaded point is sampled by its solid angle; that over its area is the
-    measure.
+    A piece that is large for the shaded point is sampled by its solid angle; that over its area is the
+    measure. A light is a cluster of neighbouring pieces of one material; ``w`` chooses among them, those
+    first that show more of themselves to the point (see `Patches`), then by area.
 
-    A light is a cluster of neighbouring triangles of one material; ``w`` chooses among them.
-
-    chooses : whether a light has several triangles, so that ``w`` matters.
-    row : (E,) int32, the scene's number of each emissive triangle.
-    light_of : (T,) int32, the light in this group that each triangle of the scene is part of, or -1.
+    chooses : whether a light has several pieces, so that ``w`` matters.
+    row : (E,) int32, the scene's triangle that each piece is, or is a part of.
+    light_of : (E,) int, the light that it is of. corners : (E, 3, 3) float32.
     """
 
     is_mesh = True
 
-    def __init__(
-        self, radiance: Sequence[np.ndarray], rows: Sequence[np.ndarray], triangles: Triangles
-    ) -> None:
-        row = np.concatenate(rows)
-        corner, a, b = (triangles.vertices[triangles.indices[row, k]].astype(np.float64) for k in range(3))
+    def __init__(self, radiance: Sequence[np.ndarray], pieces: Pieces) -> None:
+        """radiance : (3,) of each light."""
+        corner, a, b = np.moveaxis(pieces.corners, 1, 0).copy()
         a -= corner
         b -= corner
         normal = np.cross(a, b)
         double_area = np.linalg.norm(normal, axis=1)
         self._corner, self._a, self._b = (np.ascontiguousarray(x.T, np.float32) for x in (corner, a, b))
         with np.errstate(invalid="ignore", divide="ignore"):
-            self._normal = np.nan_to_num(normal.T / double_area).astype(np.float32)
-        counts = np.array([len(r) for r in rows])
-        self._start = np.concatenate([[0], np.cumsum(counts)])
-        light = np.repeat(np.arange(len(rows)), counts)
-        self.chooses = bool(counts.max() > 1)
-        self.row = row.astype(np.int32)
-        self.light_of, self._number = np.full((2, len(triangles)), -1, np.int32)
-        self.light_of[row] = light
-        self._number[row] = np.arange(len(row))
-        area = np.bincount(light, 0.5 * double_area, minlength=len(rows))
-        super().__init__(np.asarray(radiance) * area[:, None], area, [True] * len(rows))
-        self._area, self._area_of = area.astype(np.float32), (0.5 * double_area).astype(np.float32)
+            normal = np.nan_to_num(normal.T / double_area)
+        self._normal = normal.astype(np.float32)
+        self.row, self.corners, self._weights = pieces.row, pieces.corners.astype(np.float32), pieces.weights
+        first, count = pieces.first, np.diff(pieces.first)
+        self.chooses = bool(count.max() > 1)
+        self.light_of = np.repeat(np.arange(len(count)), count)
+        area_of = 0.5 * double_area
+        area = np.bincount(self.light_of, area_of, minlength=len(count))
+        super().__init__(np.asarray(radiance) * area[:, None], area, [True] * len(count))
+        self._area, self._area_of = area.astype(np.float32), area_of.astype(np.float32)
         # How far off a triangle counts as near, from its first corner (surely) and from its middle.
         third = (a + b) / 3
         longest = np.max([np.linalg.norm(edge, axis=1) for edge in (a, b, b - a)], axis=0)
@@ -62,56 +57,61 @@ class MeshEmitters(Emitters):
         self._near_middle = ((reach + _NEAR * longest) ** 2).astype(np.float32)
         to_middle = np.linalg.norm(third, axis=1)
         self._near_corner = ((reach + _NEAR * longest + to_middle) ** 2).astype(np.float32)
-        # One ascending table for all lights: light number + share of its area.
-        share = np.cumsum(0.5 * double_area) - np.concatenate([[0], np.cumsum(area)])[light]
-        self._table = light + np.clip(share / np.maximum(area[light], 1e-300), 0, 1)
-        middle = (corner + (a + b) / 3).T
-        total = np.maximum(area, 1e-300)
-        self._centre = np.stack(
-            [np.bincount(light, 0.5 * double_area * m, minlength=len(rows)) / total for m in middle]
-        ).astype(np.float32)
-        far = np.zeros(len(rows))
-        for offset in (0, a, b):
-            gap = np.linalg.norm(corner + offset - self._centre.T[light], axis=1)
-            np.maximum.at(far, light, gap)
-        self._reach = far.astype(np.float32)
-        self.centre, self.reach = self._centre.astype(np.float64), far
+        closed = pieces.side != 0
+        of_pieces = (
+            (corner + third).T, normal * np.where(closed, pieces.side, 1), area_of, reach,
+            np.where(closed, BACK, 1.0),
+        )  # fmt: skip
+        self._patches = Patches(*of_pieces, first)
+        # One ascending table of all patches: their number + share of its area.
+        start = self._patches.start
+        patch = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        self._patch_of = patch
+        of_patch = np.bincount(patch, area_of, minlength=len(start) - 1)
+        share = np.cumsum(area_of) - np.concatenate([[0], np.cumsum(of_patch)])[patch]
+        self._table = patch + np.clip(share / np.maximum(of_patch[patch], 1e-300), 0, 1)
+        lights, _ = facing_of(*of_pieces, first)
+        self._facing = Facing(*lights)
+        self._centre, self._reach = lights[0].astype(np.float32), lights[1].astype(np.float32)
+        self.centre, self.reach = self._centre.astype(np.float64), lights[1]
 
-    @property
-    def far_fluence(self):
-        # Seen from a random side, a flat light shows half of its area.
-        return np.float32(0.5) * self._brightness
+    def facing(self, which: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        """(...) what part of their area lights ``which`` show to points, ``vector`` (3, ...) from them."""
+        shown, _ = self._facing.shown(which, vector)
+        return shown
 
     def sample(self, which, position, normal, w, u):
-        triangle = self._chosen(which, w)
-        corner = vectors_to(self._corner, triangle, position)
+        piece, gain = self._chosen(which, position, w)
+        corner = vectors_to(self._corner, piece, position)
         root = np.sqrt(u[0])
         b1, b2 = 1 - root, root * u[1]
-        to_light = corner + b1 * take(self._a, triangle)
-        to_light += b2 * take(self._b, triangle)
+        to_light = corner + b1 * take(self._a, piece)
+        to_light += b2 * take(self._b, piece)
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        measure = np.abs(dot(take(self._normal, triangle), to_light))
+        measure = np.abs(dot(take(self._normal, piece), to_light))
         measure /= square * np.sqrt(square)
-        near, seen = self._near(triangle, corner, normal is None)
+        near, seen = self._near(piece, corner, normal is None)
         if near.size:
             for out, values in zip(to_light, seen.sample(take(u, near)), strict=True):
                 out[near] = np.where(seen.usable, values, out[near])
-            by_angle = seen.solid_angle / self._area_of.take(triangle.take(near))
+            by_angle = seen.solid_angle / self._area_of.take(piece.take(near))
             measure[near] = np.where(seen.usable, by_angle, measure[near])
+        if gain is not None:
+            measure *= gain
         return to_light, measure
 
     def _near(
-        self, triangle: np.ndarray, corner: np.ndarray, precise: bool
+        self, piece: np.ndarray, corner: np.ndarray, precise: bool
     ) -> tuple[np.ndarray, SphericalTriangle | None]:
-        """Lanes of ``triangle`` (M,) that are near enough for their solid angle, and these as seen.
+        """Lanes of ``piece`` (M,) that are near enough for their solid angle, and these as seen.
 
         corner : (3, M) vectors to the first corners. precise : for points in space, which come so near that a
         triangle fills the half space.
         """
-        near = np.flatnonzero(dot(corner, corner) < self._near_corner.take(triangle))
+        near = np.flatnonzero(dot(corner, corner) < self._near_corner.take(piece))
         if near.size == 0:
             return near, None
-        some, corner = triangle.take(near), take(corner, near)
+        some, corner = piece.take(near), take(corner, near)
         b, c = corner + take(self._a, some), corner + take(self._b, some)
         middle = (corner + b + c) * np.float32(1 / 3)
         nearer = np.flatnonzero(dot(middle, middle) < self._near_middle.take(some))
@@ -122,87 +122,74 @@ class MeshEmitters(Emitters):
         kind = np.float64 if precise else np.float32
         return near, SphericalTriangle(*(x.astype(kind, copy=False) for x in (corner, b, c)))
 
-    def _chosen(self, which: np.ndarray | None, w: np.ndarray) -> np.ndarray:
-        """(M,) triangles, numbered light after light."""
+    def _chosen(
+        self, which: np.ndarray | None, position: np.ndarray, w: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """(M,) pieces, and by how much their shares of a light's area exceed their chances; None for 1."""
         light = np.zeros(len(w), np.intp) if which is None else which
-        triangle = np.searchsorted(self._table, light + w.astype(np.float64), side="right")
-        return np.clip(triangle, self._start[light], self._start[light + 1] - 1, out=triangle)
+        if not self.chooses:
+            return light, None
+        patch, gain, w = self._patches.choose(light, position, w)
+        piece, last = self._patches.start.take(patch), self._patches.start.take(patch + 1) - 1
+        several = np.flatnonzero(last > piece)
+        if several.size:
+            share = patch.take(several) + w.take(several).astype(np.float64)
+            found = np.searchsorted(self._table, share, side="right")
+            piece[several] = np.clip(found, piece.take(several), last.take(several))
+        return piece, gain
 
-    def point_of(
-        self, which: np.ndarray | None, w: np.ndarray, position: np.ndarray, to_light: np.ndarray
+    def piece(self, which: np.ndarray | None, position: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """(M,) pieces that `sample` takes, by what it is given."""
+        return self._chosen(which, position, w)[0]
+
+    def place_of(
+        self, piece: np.ndarray, position: np.ndarray, to_light: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where on the scene's triangles a sample lies: rows (M,), weights (M,) of corners 1 and 2.
-
-        Of what `sample` was given, and what it gave; for the few that turn out to matter.
-        """
-        triangle = self._chosen(which, w)
-        a, b = take(self._a, triangle), take(self._b, triangle)
-        gap = position + to_light - take(self._corner, triangle)
+        """Where samples of pieces (M,) lie, as `on_scene`. to_light : (3, M), what `sample` gave."""
+        a, b = take(self._a, piece), take(self._b, piece)
+        gap = position + to_light - take(self._corner, piece)
         aa, ab, bb = dot(a, a), dot(a, b), dot(b, b)
         scale = 1 / np.maximum(aa * bb - ab * ab, np.float32(1e-37))
         ga, gb = dot(gap, a), dot(gap, b)
         b1 = np.clip((bb * ga - ab * gb) * scale, 0, 1)
         b2 = np.clip((aa * gb - ab * ga) * scale, 0, 1 - b1)
-        return self.row.take(triangle), b1, b2
+        return self.on_scene(piece, b1, b2)
 
-    def pdf_of_triangle(
-        self, triangle: np.ndarray, position: np.ndarray, normal: np.ndarray | None, to_light: np.ndarray
+    def on_scene(
+        self, piece: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (M,) of the scene's triangles, and weights (M,) of their corners 1 and 2, of places on pieces
+        that have weights u, v (M,)."""
+        corner, one, other = np.moveaxis(self._weights.take(piece, axis=0), 1, 0).astype(np.float32)
+        b1, b2 = (corner + u[:, None] * (one - corner) + v[:, None] * (other - corner)).T
+        return self.row.take(piece), b1, b2
+
+    def pdf_of_piece(
+        self, piece: np.ndarray, position: np.ndarray, normal: np.ndarray | None, to_light: np.ndarray
     ) -> np.ndarray:
-        """(M,) density per solid angle, given its light, of points on the scene's ``triangle`` (M,).
-
-        to_light : (3, M). 0 for a triangle that is no light.
-        """
-        light = self.light_of.take(triangle)
-        number = np.maximum(self._number.take(triangle), 0)
+        """(M,) density per solid angle, given its light, of points on pieces (M,). to_light : (3, M)."""
+        light = self.light_of.take(piece)
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        cosine_d = np.abs(dot(take(self._normal, number), to_light))
-        density = area_to_solid_angle(square, cosine_d, self._area.take(light, mode="clip"))
-        near, seen = self._near(number, vectors_to(self._corner, number, position), normal is None)
+        cosine_d = np.abs(dot(take(self._normal, piece), to_light))
+        density = area_to_solid_angle(square, cosine_d, self._area.take(light))
+        near, seen = self._near(piece, vectors_to(self._corner, piece, position), normal is None)
         if near.size:
-            share = self._area_of.take(number.take(near)) / self._area.take(light.take(near))
+            share = self._area_of.take(piece.take(near)) / self._area.take(light.take(near))
             by_angle = share / np.maximum(seen.solid_angle, np.float32(1e-30))
             density[near] = np.where(seen.usable, by_angle, density[near])
-        return np.where(light >= 0, density, 0)
+        if self.chooses:
+            density /= self._patches.gain(self._patch_of.take(piece), position)
+        return density
 
     def irradiance(self, position, normal, which=None):
+        which = np.arange(len(self)) if which is None else which
         to_light = self._column(self._centre, which) - position[:, None, :]
-        square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         reach = self._column(self._reach, which)
+        shown, square = self._facing.shown(which[:, None], -to_light)
         inverse = 1 / np.sqrt(square)
         size = np.minimum(reach * inverse, 1)
         estimate = np.clip((dot(to_light, normal[:, None, :]) * inverse + size) / (1 + size), 0, 1)
-        # Seen from a random side, a flat light shows half of its area.
-        estimate *= np.float32(0.5) * self._column(self._brightness, which)
-        return estimate / (square + reach * reach)
-
-
-ALONE = 8
-"""Up to how many emissive triangles of a scene are a light each: then none has to be chosen of a light."""
-
-CLUSTERS = 256
-"""About how many clusters all emissive triangles of a scene are parted into."""
-
-
-def emissive_clusters(materials: Sequence[Material], triangles: Triangles) -> list[np.ndarray]:
-    """Triangles (rows) of each cluster: of one material, and near each other along a Morton curve."""
-    emissive = np.array([(material.emission > 0).any() for material in materials])
-    if not emissive.any():
-        return []
-    row = np.flatnonzero(emissive[triangles.material])
-    corners = triangles.vertices[triangles.indices[row]].astype(np.float64)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    row, corners = row[area > 0], corners[area > 0]
-    if row.size == 0:
-        return []
-    middle = corners.mean(axis=1)
-    low, high = middle.min(axis=0), middle.max(axis=0)
-    cell = ((middle - low) / np.maximum((high - low).max(), 1e-300) * 1023).astype(np.int64)
-    code = sum(((cell[:, k] >> bit) & 1) << (3 * bit + k) for bit in range(10) for k in range(3))
-    material = triangles.material[row]
-    order = np.lexsort((code, material))
-    row, material = row[order], material[order]
-    size = 1 if row.size <= ALONE else max(8, -(-row.size // CLUSTERS))
-    first_of_material = np.flatnonzero(np.diff(material, prepend=-1))
-    place = np.arange(row.size) - np.repeat(first_of_material, np.diff(first_of_material, append=row.size))
-    cuts = np.flatnonzero(place % size == 0)
-    return np.split(row, cuts[1:])
+        estimate *= self._column(self._brightness, which)
+        estimate *= shown
+        estimate /= square
+        return estimate

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How the emissive triangles of a scene are parted into pieces, none of them long, and these into lights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.closed_meshes import outer_sides
+from ...geometry.triangles import Triangles
+from ...scene import Material
+
+ALONE = 8
+"""Up to how many emissive triangles of a scene are a light each: then none has to be chosen of a light."""
+
+CLUSTERS = 256
+"""About how many lights all emissive triangles of a scene are parted into."""
+
+LONG, MOST_CUT = 4.0, 1024
+"""Edges over heights of triangles that are cut, and about how many pieces are gained at most."""
+
+TIP = 0.05
+"""Of the longest edge, how near its ends the third corner may be for the triangle to be a needle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """E emissive triangles, or parts of long ones, light after light.
+
+    row : (E,) int32, the scene's triangle of each. corners : (E, 3, 3) float64.
+    weights : (E, 3, 2) float64, weights of the corners 1 and 2 of that triangle at each of these.
+    side : (E,) int8, of a triangle of a closed body that lets nothing through, 1 if its corners run
+        counter-clockwise as seen from outside, -1 if clockwise; 0 of others, which are seen from both sides.
+    first : (L + 1,) where each light begins.
+    """
+
+    row: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+    side: np.ndarray
+    first: np.ndarray
+
+    @staticmethod
+    def of(triangles: Triangles, rows: Sequence[np.ndarray], side: np.ndarray | None = None) -> Pieces:
+        """Whole triangles, those of each light in ``rows``. side : of all of them; None for 0."""
+        row = np.concatenate(rows)
+        side = np.zeros(len(row), np.int8) if side is None else side
+        first = np.cumsum([0, *(len(some) for some in rows)])
+        return Pieces(row.astype(np.int32), _corners(triangles, row), _whole(len(row)), side, first)
+
+
+def emissive_pieces(
+    materials: Sequence[Material], triangles: Triangles, transmits: np.ndarray | None = None
+) -> Pieces | None:
+    """The pieces of all triangles that emit; None if none does.
+
+    A light is of one material, and of pieces near each other along a Morton curve.
+    transmits : (number of materials,) bool, which let light straight through; None for none.
+    """
+    emissive = np.array([(material.emission > 0).any() for material in materials])
+    if not emissive.any():
+        return None
+    row = np.flatnonzero(emissive[triangles.material])
+    corners = _corners(triangles, row)
+    row, corners = (x[_areas(corners) > 0] for x in (row, corners))
+    if row.size == 0:
+        return None
+    side, weights = _sides(row, triangles, transmits), _whole(len(row))
+    alone = row.size <= ALONE
+    if not alone:
+        row, side, corners, weights = _cut(row, side, corners, weights)
+    middle = corners.mean(axis=1)
+    low, high = middle.min(axis=0), middle.max(axis=0)
+    cell = ((middle - low) / np.maximum((high - low).max(), 1e-300) * 1023).astype(np.int64)
+    code = sum(((cell[:, k] >> bit) & 1) << (3 * bit + k) for bit in range(10) for k in range(3))
+    material = triangles.material[row]
+    order = np.lexsort((code, material))
+    row, side, corners, weights, material = (x[order] for x in (row, side, corners, weights, material))
+    size = 1 if alone else max(ALONE, -(-row.size // CLUSTERS))
+    of_material = np.flatnonzero(np.diff(material, prepend=-1))
+    place = np.arange(row.size) - np.repeat(of_material, np.diff(of_material, append=row.size))
+    first = np.append(np.flatnonzero(place % size == 0), row.size)
+    return Pieces(row.astype(np.int32), corners, weights, side, first)
+
+
+def _corners(triangles: Triangles, row: np.ndarray) -> np.ndarray:
+    return triangles.vertices[triangles.indices[row]].astype(np.float64)
+
+
+def _whole(count: int) -> np.ndarray:
+    return np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (count, 1, 1))
+
+
+def _areas(corners: np.ndarray) -> np.ndarray:
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.linalg.norm(np.cross(a, b), axis=1) / 2
+
+
+def _sides(row: np.ndarray, triangles: Triangles, transmits: np.ndarray | None) -> np.ndarray:
+    mesh = np.repeat(np.arange(len(triangles.first) - 1), np.diff(triangles.first))
+    glows = np.zeros(len(triangles.first) - 1, bool)
+    glows[mesh[row]] = True
+    whole = np.flatnonzero(glows[mesh])
+    _, number = np.unique(mesh[whole], return_inverse=True)
+    side = outer_sides(_corners(triangles, whole), number)
+    clear = ~np.broadcast_to(triangles.casts_shadow, len(triangles))[whole]
+    if transmits is not None:
+        clear |= transmits[triangles.material[whole]]
+    side = np.where(np.bincount(number, clear)[number] > 0, 0, side)
+    return side[np.searchsorted(whole, row)].astype(np.int8)
+
+
+def _cut(
+    row: np.ndarray, side: np.ndarray, corners: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What is long in strips across, of two triangles each but at the tips."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.sqrt((edges * edges).sum(axis=2))
+    longest = lengths.max(axis=1)
+    areas = _areas(corners)
+    # What is shorter than a light is wide is not long.
+    limit = np.maximum(LONG * 2 * areas / longest, 2 * np.sqrt(areas.sum() / CLUSTERS))
+    # Strips are no shorter than what makes so many of them.
+    low, high = 0.0, float(longest.max())
+    for _ in range(40):
+        least = (low + high) / 2
+        many = 2 * (np.ceil(longest / np.maximum(limit, least)) - 1).sum() > MOST_CUT
+        low, high = (least, high) if many else (low, least)
+    limit = np.maximum(limit, high)
+    long = np.flatnonzero(longest > limit)
+    # From A to B is the longest edge; C is above F on it.
+    order = (lengths[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.moveaxis(
+        np.take_along_axis(np.concatenate([corners, weights], axis=2)[long], order[..., None], axis=1), 1, 0
+    )
+    along = (b - a)[:, :3]
+    foot = ((c - a)[:, :3] * along).sum(axis=1) / (longest[long] ** 2)
+    f = a + foot[:, None] * (b - a)
+    # Each with a tip, the ends of a short edge, and how long that is; next to the ends there is no second one.
+    whole = np.minimum(foot, 1 - foot) < TIP
+    parts = (
+        (whole & (foot > 0.5), a, b, c, np.ones_like(foot)),
+        (whole & (foot <= 0.5), b, c, a, np.ones_like(foot)),
+        (~whole, a, f, c, foot),
+        (~whole, b, c, f, 1 - foot),
+    )
+    found = []
+    for some, tip, x, y, share in parts:
+        tip, x, y = tip[some], x[some], y[some]
+        count = np.ceil(share[some] * longest[long][some] / limit[long][some]).astype(int)
+        which = np.repeat(np.arange(len(count)), count)
+        number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+        near, far = (((number + i) / count[which])[:, None] for i in (0, 1))
+        tip, x, y = tip[which], (x - tip)[which], (y - tip)[which]
+        from_, numbers = long[some][which], number > 0
+        found.append((from_, np.stack([tip + near * x, tip + far * x, tip + far * y], axis=1)))
+        second = np.stack([tip + near * x, tip + far * y, tip + near * y], axis=1)
+        found.append((from_[numbers], second[numbers]))
+    source, cut = (np.concatenate(x) for x in zip(*found, strict=True))
+    rest = np.flatnonzero(longest <= limit)
+    return (
+        np.concatenate([row[rest], row[source]]),
+        np.concatenate([side[rest], side[source]]),
+        np.concatenate([corners[rest], cut[..., :3]]),
+        np.concatenate([weights[rest], cut[..., 3:]]),
+    )

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Emissive meshes in pieces: nothing is lost or added, and samples go where something is to be seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from engine_core import Material, Mesh, World
+from engine_core.geometry.closed_meshes import outer_sides
+from engine_core.geometry.frame import Frame
+from engine_core.geometry.triangles import Triangles, gather_triangles
+from engine_core.shading import closures
+from engine_core.shading.abilities import abilities
+from engine_core.shading.values import Value
+from engine_core.transport.emitters import MeshEmitters, emitter_groups
+from engine_core.transport.emitters.mesh_pieces import ALONE, MOST_CUT, emissive_pieces
+from scenes import box, sphere
+
+FRAME = Frame(np.zeros(3), 1.0)
+GLOWING = Material(0.0, 1.0)
+CUBE = box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
+
+
+def _triangles(*meshes: Mesh) -> Triangles:
+    return gather_triangles(meshes, FRAME)[0]
+
+
+def _tube(sides: int = 16, radius: float = 0.05, length: float = 4.0) -> Mesh:
+    """Closed, of long triangles."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = [np.insert(rim, 2, z, axis=1) for z in (-length / 2, length / 2)]
+    i = np.arange(sides)
+    j = (i + 1) % sides
+    wall = [np.stack([i, j, j + sides], 1), np.stack([i, j + sides, i + sides], 1)]
+    k = np.arange(1, sides - 1)
+    caps = [np.stack([0 * k, k + 1, k], 1), np.stack([0 * k + sides, k + sides, k + 1 + sides], 1)]
+    return Mesh(np.concatenate(ends), np.concatenate(wall + caps))
+
+
+def _group(*meshes: Mesh) -> MeshEmitters:
+    (group,), _ = emitter_groups((), World(), (GLOWING,), _triangles(*meshes), FRAME)
+    return group
+
+
+def _area(corners: np.ndarray) -> np.ndarray:
+    a, b, c = np.moveaxis(np.asarray(corners, float), 1, 0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+# -- pieces --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-6, 1e6])
+def test_pieces_of_a_tube_are_all_of_it_and_none_is_long(size: float):
+    tube = _tube()
+    triangles = _triangles(Mesh(tube.vertices * size, tube.triangles))
+    pieces = emissive_pieces((GLOWING,), triangles)
+    whole = _area(triangles.vertices[triangles.indices])
+    of_triangle = np.bincount(pieces.row, _area(pieces.corners), len(triangles))
+    assert np.allclose(of_triangle, whole, rtol=1e-6)
+    edges = np.linalg.norm(np.roll(pieces.corners, -1, axis=1) - pieces.corners, axis=2)
+    assert edges.max() < 0.06 * 4.0 * size
+    assert len(whole) + MOST_CUT / 2 < len(pieces.row) < len(whole) + 1.5 * MOST_CUT
+
+
+def test_weights_of_pieces_say_where_they_are_on_their_triangles():
+    triangles = _triangles(_tube())
+    pieces = emissive_pieces((GLOWING,), triangles)
+    a, b, c = np.moveaxis(triangles.vertices[triangles.indices[pieces.row]].astype(float), 1, 0)
+    for k in range(3):
+        u, v = pieces.weights[:, k].T[..., None]
+        assert np.allclose(a + u * (b - a) + v * (c - a), pieces.corners[:, k], atol=1e-6)
+
+
+def test_few_triangles_and_compact_ones_are_left_as_they_are():
+    strip = Mesh([(0, 0, 0), (9, 0, 0), (9, 0.1, 0), (0, 0.1, 0)], [(0, 1, 2), (0, 2, 3)])
+    for mesh, lights in ((strip, 2), (sphere(), None)):
+        pieces = emissive_pieces((GLOWING,), _triangles(mesh))
+        assert len(pieces.row) == len(mesh.triangles)
+        if lights is None:
+            assert (np.diff(pieces.first) <= ALONE).all()
+        else:
+            assert len(pieces.first) - 1 == lights
+
+
+def test_no_needle_makes_pieces_without_end():
+    random = np.random.default_rng(3)
+    corner = random.normal(size=(50, 3, 3))
+    corner[:, 2] = corner[:, 0] + 1e-7 * random.normal(size=(50, 3))
+    pieces = emissive_pieces(
+        (GLOWING,), _triangles(Mesh(corner.reshape(-1, 3), np.arange(150).reshape(-1, 3)))
+    )
+    assert len(pieces.row) < 50 + 1.5 * MOST_CUT
+
+
+# -- which side is seen --------------------------------------------------------------------------------
+
+
+def _sides(mesh: Mesh, number: Any = 0) -> np.ndarray:
+    triangles = np.asarray(mesh.triangles)
+    return outer_sides(np.asarray(mesh.vertices)[triangles], np.full(len(triangles), number))
+
+
+def test_outside_of_closed_meshes():
+    turned = Mesh(CUBE.vertices, np.asarray(CUBE.triangles)[:, ::-1])
+    mirrored = Mesh(np.asarray(CUBE.vertices) * (-1, 1, 1), CUBE.triangles)
+    away = Mesh(np.asarray(CUBE.vertices) + 1e5, CUBE.triangles)
+    of_cube = _sides(CUBE)
+    assert abs(of_cube.sum()) == len(of_cube)
+    assert (_sides(away) == of_cube).all()
+    assert (_sides(turned) == -of_cube).all() and (_sides(mirrored) == -of_cube).all()
+
+
+def test_what_is_open_or_flat_or_inconsistent_has_no_outside():
+    triangles = np.asarray(CUBE.triangles)
+    one_turned = triangles.copy()
+    one_turned[0] = one_turned[0, ::-1]
+    flat = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2), (2, 1, 0)])
+    for mesh in (Mesh(CUBE.vertices, triangles[1:]), Mesh(CUBE.vertices, one_turned), flat):
+        assert not _sides(mesh).any()
+
+
+def test_faces_that_share_places_but_no_vertices_are_closed():
+    corners = np.asarray(CUBE.vertices)[np.asarray(CUBE.triangles)]
+    apart = Mesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+    assert (_sides(apart) == _sides(CUBE)).all()
+
+
+def test_meshes_are_closed_each_by_itself():
+    cube, open_ = (np.asarray(CUBE.vertices)[np.asarray(CUBE.triangles)[k:]] for k in (0, 1))
+    # Both in the same place.
+    corners = np.concatenate([cube, open_, cube])
+    sides = outer_sides(corners, np.repeat([0, 1, 2], [12, 11, 12]))
+    assert (sides[:12] != 0).all() and not sides[12:23].any() and (sides[23:] != 0).all()
+
+
+def test_what_lets_light_through_is_seen_from_both_sides():
+    mesh = Mesh(CUBE.vertices, CUBE.triangles, materials=np.arange(12) % 2)
+    materials = GLOWING, Material()
+    assert emissive_pieces(materials, _triangles(mesh)).side.all()
+    assert not emissive_pieces(materials, _triangles(mesh), np.array([False, True])).side.any()
+    shadowless = Mesh(CUBE.vertices, CUBE.triangles, casts_shadow=False)
+    assert not emissive_pieces((GLOWING,), _triangles(shadowless)).side.any()
+
+
+# -- samples -------------------------------------------------------------------------------------------
+
+PLACES = {
+    "beside": (0.4, 0.1, 0.3),
+    "beyond": (0.02, 0.03, 2.4),
+    "far": (30.0, 9.0, 4.0),
+    "within": (0.0, 0.01, 1.0),
+}
+
+
+def _samples(group: MeshEmitters, place: Any, count: int, seed: int = 1) -> tuple[np.ndarray, ...]:
+    """Lights, alike likely, vectors, values and u."""
+    random = np.random.default_rng(seed)
+    light = np.sort(random.integers(0, len(group), count))
+    u = random.random((3, count), np.float32)
+    position = np.tile(np.array(place, float)[:, None], count)
+    to_light, measure = group.sample(light, position, None, u[2], u[:2])
+    return light, position, to_light, measure * group.size[light] * len(group), u
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_solid_angles_of_all_pieces_add_up(place: str):
+    """Both sides count here, as nothing is in the way: from within it is the whole sphere, from outside twice
+    what is seen."""
+    group = _group(_tube())
+    *_, values, _ = _samples(group, PLACES[place], 200_000)
+    corners = group.corners.astype(float) - PLACES[place]
+    a, b, c = np.moveaxis(corners / np.linalg.norm(corners, axis=2, keepdims=True), 1, 0)
+    over = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
+    under = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+    truth = 2 * np.arctan2(over, under).sum()
+    if place == "within":
+        assert truth == pytest.approx(4 * np.pi, rel=1e-3)
+    error = values.std() / len(values) ** 0.5
+    assert abs(values.mean(dtype=float) - truth) < 4 * error
+    assert error < 0.02 * truth
+
+
+@pytest.mark.parametrize("place", ["beside", "far"])
+def test_few_samples_look_at_the_back_of_a_closed_body(place: str):
+    tube, random, count = _tube(), np.random.default_rng(2), 50_000
+    back = {}
+    for name, triangles in (("closed", tube.triangles), ("open", tube.triangles[:-1])):
+        group = _group(Mesh(tube.vertices, triangles))
+        point = np.array(PLACES[place])[:, None]
+        expected = group.size * group.facing(np.arange(len(group)), point - group.centre)
+        expected /= ((point - group.centre) ** 2).sum(axis=0)
+        light = random.choice(len(group), count, p=expected / expected.sum())
+        u, position = random.random((3, count), np.float32), np.tile(point, count)
+        to_light, _ = group.sample(light, position, None, u[2], u[:2])
+        a, b, c = np.moveaxis(group.corners[group.piece(light, position, u[2])].astype(float), 1, 0)
+        back[name] = np.mean((np.cross(b - a, c - a) * to_light.T).sum(axis=1) > 0)
+    assert back["closed"] < 0.15 < 0.3 < back["open"]
+
+
+def test_what_is_seen_of_one_light_differs_little():
+    """By area alone, more than half of the samples would see nothing: a deviation above 1."""
+    group = _group(_tube())
+    count, place = 40_000, np.array([0.3, 0.2, 0.1])[:, None]
+    light = np.full(count, np.argmin(np.abs(group.centre - place).sum(axis=0)))
+    u, position = np.random.default_rng(5).random((3, count), np.float32), np.tile(place, count)
+    to_light, measure = group.sample(light, position, None, u[2], u[:2])
+    a, b, c = np.moveaxis(group.corners[group.piece(light, position, u[2])].astype(float), 1, 0)
+    values = measure * ((np.cross(b - a, c - a) * to_light.T).sum(axis=1) < 0)
+    assert values.std() < 0.6 * values.mean()
+
+
+# -- what emits the same everywhere --------------------------------------------------------------------
+
+
+def test_only_what_may_vary_is_looked_up():
+    value = Value()
+    steady = [
+        closures.Emission((1, 2, 3), 4.0),
+        closures.Principled(0.8, emission_color=(1, 0, 0), emission_strength=2.0, roughness=value),
+        closures.Mix(0.3, closures.Diffuse(value), closures.Emission(1.0, 2.0)),
+        closures.Add(closures.Diffuse(0.5), closures.Emission(1.0, 2.0)),
+        closures.Diffuse(value),
+        closures.Emission(value, 0.0),
+    ]
+    varying = [
+        closures.Emission(value, 4.0),
+        closures.Emission(1.0, value),
+        closures.Principled(0.8, emission_strength=value),
+        closures.Principled(0.8, emission_strength=2.0, alpha=value),
+        closures.Principled(0.8, emission_strength=2.0, coat_weight=0.5),
+        closures.Mix(value, closures.Diffuse(0.5), closures.Emission(1.0, 2.0)),
+        closures.Add(closures.Diffuse(0.5), closures.Mix(0.5, None, closures.Emission(value, 2.0))),
+    ]
+    assert not any(abilities(c).varies for c in steady)
+    assert all(abilities(c).varies for c in varying)

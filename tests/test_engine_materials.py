@@ -17,11 +17,13 @@ from scenes import (
     patch_camera,
     pictures,
     place,
+    sphere,
     studio,
 )
 
 from engine_core import (
     AreaLight,
+    Camera,
     Material,
     PointLight,
     Scene,
@@ -307,3 +309,14 @@ def test_quadratures_are_asked_often_whether_to_go_on():
     before = len(calls)
     integrand.rest(hits, None, np.full((2, len(hits.points), 1), 0.5, np.float32))
     assert len(calls) == before + 1
+
+
+@pytest.mark.parametrize("sampling", ["mis", "light", "bsdf"])
+@pytest.mark.parametrize("body", [box, sphere])
+def test_convex_body_that_glows_does_not_see_itself(body, sampling):
+    """Reflected directions start on the very triangle that is not to be met."""
+    glossy = Material(surface=Principled(0.0, roughness=0.5, emission_color=1.0, emission_strength=1.0))
+    camera = Camera.look_at((0.3, -6, 0.5), (0, 0, 0), 32, 32)
+    scene = Scene(camera, (body(),), (glossy,))
+    film = render(scene, Settings(samples=16, direct_sampling=sampling, integrator="sobol"))
+    assert 0.99 < film.combined[..., :3].max() < 1 + 1e-5

@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.raytracer import FAR, RayTracer
 from ..geometry.surfaces import SurfacePoints
 from ..geometry.triangles import Triangles
-from ..geometry.vectors import take
+from ..geometry.vectors import dot, take
 from .emitters import Emitters
 from .light_choice import EveryLight, LightChoice, Lights
 from .surface_shading import SurfaceShader
@@ -289,7 +289,10 @@ class SceneLights(Lights):
             if group.is_point:
                 continue
             if group.is_mesh:
-                found = self._mesh_along(group, position, normal, direction)
+                # Off the triangle that they start from, which is not to meet itself.
+                geometric, triangle = take(points.geometric, at), points.triangle.take(at)
+                lift = np.copysign(self._triangles.offset.take(triangle), dot(geometric, direction)) * geometric
+                found = self._mesh_along(group, position, position + lift, normal, direction)
             else:
                 found = self._group_along(group, position, normal, direction)
             for lane, light, distance, radiance, density in found:
@@ -322,15 +325,20 @@ class SceneLights(Lights):
             density = group.pdf(which, take(position, hits.lane), take(normal, hits.lane), to_light)
             yield hits.lane, hits.light, hits.distance, radiance, density
 
-    def _mesh_along(self, group, position: np.ndarray, normal: np.ndarray, direction: np.ndarray):
-        """The first emissive triangle that each ray meets, and what is behind those that cast no shadow."""
+    def _mesh_along(
+        self, group, position: np.ndarray, start: np.ndarray, normal: np.ndarray, direction: np.ndarray
+    ):
+        """The first emissive triangle that each ray meets, and what is behind those that cast no shadow.
+
+        start : (3, K) where rays begin, of points at ``position`` (3, K).
+        """
         ray = np.arange(position.shape[1])
         travelled, step = np.zeros((2, len(ray)), np.float32)
         last = np.full(len(ray), -1)
         casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
         size = np.abs(position).max(axis=0)
         while ray.size:
-            origins = np.ascontiguousarray((take(position, ray) + take(direction, ray) * travelled).T)
+            origins = np.ascontiguousarray((take(start, ray) + take(direction, ray) * travelled).T)
             hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)
             met = np.flatnonzero(hits.triangle >= 0)
             ray, travelled, step, last = (x.take(met) for x in (ray, travelled, step, last))

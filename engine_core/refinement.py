@@ -410,7 +410,7 @@ def obstacles(integrand: DirectLight) -> str:
     """
     found = {
         f"more than {MOST_LIGHTS} lights": len(integrand.lights) > MOST_LIGHTS,
-        "mesh lights of many triangles": integrand.chooses_triangle,
+        "mesh lights of many triangles": integrand.chooses_piece,
         "depth of field": integrand.screen_dimensions > 2,
         "no light has a size": integrand.only_points,
         "no surface reflects": not integrand.reflects,

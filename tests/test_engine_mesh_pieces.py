@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import box, sphere
 
 from engine_core import Material, Mesh, World
 from engine_core.geometry.closed_meshes import outer_sides
@@ -17,9 +18,9 @@ from engine_core.shading.abilities import abilities
 from engine_core.shading.values import Value
 from engine_core.transport.emitters import MeshEmitters, emitter_groups
 from engine_core.transport.emitters.mesh_pieces import ALONE, MOST_CUT, emissive_pieces
-from scenes import box, sphere
 
-FRAME = Frame(np.zeros(3), 1.0)
+FRAME = Frame(np.array([0.0, 0.0, 8.0]), 1.0)
+"""Its origin is the camera, into whose surroundings no body is taken to reach."""
 GLOWING = Material(0.0, 1.0)
 CUBE = box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 
@@ -101,8 +102,9 @@ def test_no_needle_makes_pieces_without_end():
 
 
 def _sides(mesh: Mesh, number: Any = 0) -> np.ndarray:
-    triangles = np.asarray(mesh.triangles)
-    return outer_sides(np.asarray(mesh.vertices)[triangles], np.full(len(triangles), number))
+    return outer_sides(
+        np.asarray(mesh.vertices), np.asarray(mesh.triangles), np.full(len(mesh.triangles), number)
+    )
 
 
 def test_outside_of_closed_meshes():
@@ -131,10 +133,10 @@ def test_faces_that_share_places_but_no_vertices_are_closed():
 
 
 def test_meshes_are_closed_each_by_itself():
-    cube, open_ = (np.asarray(CUBE.vertices)[np.asarray(CUBE.triangles)[k:]] for k in (0, 1))
-    # Both in the same place.
-    corners = np.concatenate([cube, open_, cube])
-    sides = outer_sides(corners, np.repeat([0, 1, 2], [12, 11, 12]))
+    # All in the same place.
+    indices = [np.asarray(CUBE.triangles)[int(k == 1) :] + 8 * k for k in range(3)]
+    vertices = np.tile(np.asarray(CUBE.vertices), (3, 1))
+    sides = outer_sides(vertices, np.concatenate(indices), np.repeat([0, 1, 2], [12, 11, 12]))
     assert (sides[:12] != 0).all() and not sides[12:23].any() and (sides[23:] != 0).all()
 
 
@@ -143,8 +145,25 @@ def test_what_lets_light_through_is_seen_from_both_sides():
     materials = GLOWING, Material()
     assert emissive_pieces(materials, _triangles(mesh)).side.all()
     assert not emissive_pieces(materials, _triangles(mesh), np.array([False, True])).side.any()
-    shadowless = Mesh(CUBE.vertices, CUBE.triangles, casts_shadow=False)
-    assert not emissive_pieces((GLOWING,), _triangles(shadowless)).side.any()
+    for how in ({"casts_shadow": False}, {"visible_to_camera": False}):
+        assert not emissive_pieces(
+            (GLOWING,), _triangles(Mesh(CUBE.vertices, CUBE.triangles, **how))
+        ).side.any()
+
+
+def test_what_may_be_looked_at_from_within_is_seen_from_both_sides():
+    room = Mesh(CUBE.vertices, CUBE.triangles, materials=np.arange(12) // 10)
+    dome, about_camera = sphere(radius=3.0), sphere((0, 0, 8), 3.0)
+    materials = Material(), GLOWING
+    assert not emissive_pieces(materials, _triangles(room)).side.any()
+    assert emissive_pieces((GLOWING,), _triangles(dome)).side.all()
+    assert not emissive_pieces((GLOWING,), _triangles(about_camera)).side.any()
+    furnished = emissive_pieces(materials, _triangles(Mesh(dome.vertices, dome.triangles, materials=1), CUBE))
+    assert not furnished.side.any()
+    beside = box((4, 0, 0), (5, 1, 1))
+    assert emissive_pieces(
+        materials, _triangles(Mesh(dome.vertices, dome.triangles, materials=1), beside)
+    ).side.all()
 
 
 # -- samples -------------------------------------------------------------------------------------------
@@ -162,7 +181,7 @@ def _samples(group: MeshEmitters, place: Any, count: int, seed: int = 1) -> tupl
     random = np.random.default_rng(seed)
     light = np.sort(random.integers(0, len(group), count))
     u = random.random((3, count), np.float32)
-    position = np.tile(np.array(place, float)[:, None], count)
+    position = np.tile((np.array(place, float) - FRAME.origin)[:, None], count)
     to_light, measure = group.sample(light, position, None, u[2], u[:2])
     return light, position, to_light, measure * group.size[light] * len(group), u
 
@@ -173,7 +192,7 @@ def test_solid_angles_of_all_pieces_add_up(place: str):
     what is seen."""
     group = _group(_tube())
     *_, values, _ = _samples(group, PLACES[place], 200_000)
-    corners = group.corners.astype(float) - PLACES[place]
+    corners = group.corners.astype(float) + FRAME.origin - PLACES[place]
     a, b, c = np.moveaxis(corners / np.linalg.norm(corners, axis=2, keepdims=True), 1, 0)
     over = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
     under = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
@@ -191,7 +210,7 @@ def test_few_samples_look_at_the_back_of_a_closed_body(place: str):
     back = {}
     for name, triangles in (("closed", tube.triangles), ("open", tube.triangles[:-1])):
         group = _group(Mesh(tube.vertices, triangles))
-        point = np.array(PLACES[place])[:, None]
+        point = (np.array(PLACES[place]) - FRAME.origin)[:, None]
         expected = group.size * group.facing(np.arange(len(group)), point - group.centre)
         expected /= ((point - group.centre) ** 2).sum(axis=0)
         light = random.choice(len(group), count, p=expected / expected.sum())
@@ -205,7 +224,7 @@ def test_few_samples_look_at_the_back_of_a_closed_body(place: str):
 def test_what_is_seen_of_one_light_differs_little():
     """By area alone, more than half of the samples would see nothing: a deviation above 1."""
     group = _group(_tube())
-    count, place = 40_000, np.array([0.3, 0.2, 0.1])[:, None]
+    count, place = 40_000, (np.array([0.3, 0.2, 0.1]) - FRAME.origin)[:, None]
     light = np.full(count, np.argmin(np.abs(group.centre - place).sum(axis=0)))
     u, position = np.random.default_rng(5).random((3, count), np.float32), np.tile(place, count)
     to_light, measure = group.sample(light, position, None, u[2], u[:2])

@@ -102,7 +102,7 @@ class DirectLight:
 
     messages : what of the scene is left out, one sentence each.
     screen_dimensions : 2 of a pixel, and 2 of a lens that has a size.
-    rest_dimensions : 2 on a light, and 1 for the choice of a light or of a triangle of it.
+    rest_dimensions : 2 on a light, and 1 for the choice of a light or of a piece of it.
     only_points : no light has a size, and no fog glows.
     samples_every : no light is chosen: a hit gets one sample of each. channels, transparent,
         sees : as in `CameraStage`.
@@ -145,7 +145,7 @@ class DirectLight:
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
         self._glows = self.media is not None and self.media.emits
         self._glowing = GlowDirections(self.media) if self._glows else None
-        self.chooses_triangle = self.lights.chooses_triangle
+        self.chooses_piece = self.lights.chooses_piece
         self.only_points = self.lights.only_points and not self._glows
         self.stage = CameraStage(
             scene, frame, self.surfaces, shader, groups, transparent, normals, crossings, self.media
@@ -158,7 +158,7 @@ class DirectLight:
         self.sampling = sampling
         self.samples_every = self.only_points and 1 < len(self.lights) <= EVERY_POINT
         self.screen_dimensions = self.stage.dimensions
-        self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_triangle else 2
+        self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_piece else 2
         reflectance = np.array([m.reflectance for m in materials], np.float32).reshape(-1, 3)
         self._reflectance = reflectance.T / np.float32(np.pi)
         self._one_material = len(materials) == 1

@@ -196,10 +196,9 @@ class AirLights:
         estimate = np.maximum(*humps, out=humps[0])
         turning = np.flatnonzero(self._turns.take(which))
         if turning.size:
-            # Where the segment is nearest, as there most of it comes from.
             vector = nearest[turning] * direction[:, None, :] - to_light[:, turning]
             number = self.only.take(which.take(turning)) - self._first_of_mesh
-            estimate[turning] *= self._mesh.facing(number[:, None], vector)
+            estimate[turning] *= self._mesh.facing(number[:, None], vector, direction[:, None, :])
         return estimate
 
     @staticmethod

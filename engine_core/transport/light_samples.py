@@ -29,7 +29,7 @@ class LightSamples:
     to_light : (3, K). weight : (K,) what strength, or radiance, times the cosine is multiplied with.
     chance : (K,) probability that the light was chosen, None for 1.
     at_infinity, is_mesh : (K,) bool, or a bool for all.
-    w : (K,) the point of primary space that chose a mesh's triangle; None of what is no sample of a mesh.
+    w : (K,) the point of primary space that chose a piece of a mesh; None of what is no sample of a mesh.
     """
 
     which: np.ndarray
@@ -54,7 +54,7 @@ class SceneLights(Lights):
 
     casts_shadow, sized : (L,) bool, and whether it has a size. any_mesh : whether one is a mesh.
     only_points : whether none has a size.
-    chooses_triangle : whether one has several triangles, one of which must be chosen.
+    chooses_piece : whether one has several pieces, one of which must be chosen.
     """
 
     def __init__(self, groups: Sequence[Emitters], shader: SurfaceShader, triangles: Triangles) -> None:
@@ -62,7 +62,7 @@ class SceneLights(Lights):
         self._shader = shader
         self._triangles = triangles
         self.any_mesh = any(group.is_mesh for group in groups)
-        self.chooses_triangle = any(group.is_mesh and group.chooses for group in groups)
+        self.chooses_piece = any(group.is_mesh and group.chooses for group in groups)
         self.only_points = all(group.is_point for group in groups)
         counts = [len(group) for group in groups]
         self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)
@@ -100,11 +100,11 @@ class SceneLights(Lights):
     ) -> LightSamples:
         """Samples for points ``at`` (K,) (None for all in order), ``split`` in a row at each.
 
-        cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a triangle of it.
+        cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a piece of it.
         """
         if len(self) == 1:
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
-            # Only a mesh has a use for the third, its choice of a triangle.
+            # Only a mesh has a use for the third, its choice of a piece.
             group = self.groups[0]
             to_light, weight = group.sample(None, position, normal, u[-1], u[:2])
             which = np.arange(u.shape[1])
@@ -149,7 +149,7 @@ class SceneLights(Lights):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool, np.ndarray | bool]:
         """Samples of lights ``light`` (K,), ascending, from points (3, K) in space; None for the only light.
 
-        u : (2, K) on the light. w : (K,) to choose among a mesh's triangles.
+        u : (2, K) on the light. w : (K,) to choose among a mesh's pieces.
         Returns vectors (3, K), weights (K,), `at_infinity` and `is_mesh`, as in `LightSamples`. Weight times
         `strength_in_space` is fluence, what all directions together bring of the light.
         """
@@ -291,7 +291,9 @@ class SceneLights(Lights):
             if group.is_mesh:
                 # Off the triangle that they start from, which is not to meet itself.
                 geometric, triangle = take(points.geometric, at), points.triangle.take(at)
-                lift = np.copysign(self._triangles.offset.take(triangle), dot(geometric, direction)) * geometric
+                lift = (
+                    np.copysign(self._triangles.offset.take(triangle), dot(geometric, direction)) * geometric
+                )
                 found = self._mesh_along(group, position, position + lift, normal, direction)
             else:
                 found = self._group_along(group, position, normal, direction)
@@ -330,7 +332,8 @@ class SceneLights(Lights):
     ):
         """The first emissive triangle that each ray meets, and what is behind those that cast no shadow.
 
-        start : (3, K) where rays begin, of points at ``position`` (3, K).
+        start : (3, K) where rays begin, of points at ``position`` (3, K). A triangle of the scene that is cut
+        counts once.
         """
         ray = np.arange(position.shape[1])
         travelled, step = np.zeros((2, len(ray)), np.float32)

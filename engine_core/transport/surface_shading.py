@@ -59,7 +59,8 @@ class SurfaceShader:
 
     lambertian : every one is, with constant reflectance and emission; nothing needs to be evaluated.
     emits, transmits : (number of materials,) bool, whether one can.
-    varying_emission : (number of materials,) bool, whether it may not be the same everywhere and to all sides.
+    varying_emission : (number of materials,) bool, whether it may not be the same everywhere and to all
+        sides.
     """
 
     def __init__(self, materials: Sequence[Material], triangles: Triangles, frame: Frame) -> None:
@@ -117,7 +118,7 @@ class SurfaceShader:
         )
 
     def with_mean_emission(self, materials: Sequence[Material]) -> list[Material]:
-        """The materials, those of varying emission with their mean as `Material.emission`."""
+        """The materials, those of closures with what they emit in the mean as `Material.emission`."""
         result = list(materials)
         for number in np.flatnonzero(self.emits):
             if materials[number].surface is not None:
@@ -141,7 +142,8 @@ class SurfaceShader:
         points = self.points_on(np.repeat(row, per_triangle).astype(np.int32), u, v)
         emission = self.emission(points, points.geometric)
         # What no point has met may still be there: never nothing, or the light would be left out.
-        return np.maximum((emission @ area) / max(area.sum(), 1e-300), LEAST_EMISSION)
+        least = LEAST_EMISSION if self.varying_emission[number] else 0.0
+        return np.maximum((emission @ area) / max(area.sum(), 1e-300), least)
 
     def points_on(
         self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, towards_viewer: np.ndarray | None = None

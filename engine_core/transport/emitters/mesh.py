@@ -68,16 +68,17 @@ class MeshEmitters(Emitters):
         patch = np.repeat(np.arange(len(start) - 1), np.diff(start))
         self._patch_of = patch
         of_patch = np.bincount(patch, area_of, minlength=len(start) - 1)
-        share = np.cumsum(area_of) - np.concatenate([[0], np.cumsum(of_patch)])[patch]
-        self._table = patch + np.clip(share / np.maximum(of_patch[patch], 1e-300), 0, 1)
+        share = np.append(0, np.cumsum(area_of / np.maximum(of_patch[patch], 1e-300)))
+        self._table = patch + np.clip(share[1:] - share[start[patch]], 0, 1)
         lights, _ = facing_of(*of_pieces, first)
         self._facing = Facing(*lights)
         self._centre, self._reach = lights[0].astype(np.float32), lights[1].astype(np.float32)
         self.centre, self.reach = self._centre.astype(np.float64), lights[1]
 
-    def facing(self, which: np.ndarray, vector: np.ndarray) -> np.ndarray:
-        """(...) what part of their area lights ``which`` show to points, ``vector`` (3, ...) from them."""
-        shown, _ = self._facing.shown(which, vector)
+    def facing(self, which: np.ndarray, vector: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
+        """(...) what part of their area lights ``which`` show to points, ``vector`` (3, ...) from them, or to
+        lines of directions ``along``, of which these are the nearest points."""
+        shown, _ = self._facing.shown(which, vector, along)
         return shown
 
     def sample(self, which, position, normal, w, u):
@@ -160,7 +161,7 @@ class MeshEmitters(Emitters):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (M,) of the scene's triangles, and weights (M,) of their corners 1 and 2, of places on pieces
         that have weights u, v (M,)."""
-        corner, one, other = np.moveaxis(self._weights.take(piece, axis=0), 1, 0).astype(np.float32)
+        corner, one, other = np.moveaxis(self._weights.take(piece, axis=0), 1, 0)
         b1, b2 = (corner + u[:, None] * (one - corner) + v[:, None] * (other - corner)).T
         return self.row.take(piece), b1, b2
 

@@ -30,8 +30,8 @@ class Pieces:
     """E emissive triangles, or parts of long ones, light after light.
 
     row : (E,) int32, the scene's triangle of each. corners : (E, 3, 3) float64.
-    weights : (E, 3, 2) float64, weights of the corners 1 and 2 of that triangle at each of these.
-    side : (E,) int8, of a triangle of a closed body that lets nothing through, 1 if its corners run
+    weights : (E, 3, 2) float32, weights of the corners 1 and 2 of that triangle at each of these.
+    side : (E,) int8, of a triangle of a closed body into which nobody looks, 1 if its corners run
         counter-clockwise as seen from outside, -1 if clockwise; 0 of others, which are seen from both sides.
     first : (L + 1,) where each light begins.
     """
@@ -90,7 +90,7 @@ def _corners(triangles: Triangles, row: np.ndarray) -> np.ndarray:
 
 
 def _whole(count: int) -> np.ndarray:
-    return np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (count, 1, 1))
+    return np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (count, 1, 1))
 
 
 def _areas(corners: np.ndarray) -> np.ndarray:
@@ -99,17 +99,38 @@ def _areas(corners: np.ndarray) -> np.ndarray:
 
 
 def _sides(row: np.ndarray, triangles: Triangles, transmits: np.ndarray | None) -> np.ndarray:
-    mesh = np.repeat(np.arange(len(triangles.first) - 1), np.diff(triangles.first))
-    glows = np.zeros(len(triangles.first) - 1, bool)
-    glows[mesh[row]] = True
-    whole = np.flatnonzero(glows[mesh])
-    _, number = np.unique(mesh[whole], return_inverse=True)
-    side = outer_sides(_corners(triangles, whole), number)
-    clear = ~np.broadcast_to(triangles.casts_shadow, len(triangles))[whole]
+    """(E,) as `Pieces.side`, of emissive triangles ``row`` (E,)."""
+    count = np.diff(triangles.first)
+    mesh = np.repeat(np.arange(len(count)), count)
+    glowing = np.bincount(mesh[row], minlength=len(count))
+    clear = ~np.broadcast_to(triangles.casts_shadow & triangles.visible_to_camera, len(triangles))
     if transmits is not None:
-        clear |= transmits[triangles.material[whole]]
-    side = np.where(np.bincount(number, clear)[number] > 0, 0, side)
-    return side[np.searchsorted(whole, row)].astype(np.int8)
+        clear = clear | transmits[triangles.material]
+    # Rooms with a ceiling that glows are no lamps.
+    body = (glowing > 0) & (2 * glowing >= count) & (np.bincount(mesh, clear, len(count)) == 0)
+    body[body] = ~_enclosing(np.flatnonzero(body), triangles)
+    whole = np.flatnonzero(body[mesh])
+    side = np.zeros(len(triangles), np.int8)
+    number = np.cumsum(body) - 1
+    side[whole] = outer_sides(triangles.vertices, triangles.indices[whole], number[mesh[whole]])
+    return side[row]
+
+
+def _enclosing(some: np.ndarray, triangles: Triangles) -> np.ndarray:
+    """(K,) bool, whether the camera, which is the frame's origin, or all of another mesh may be within meshes
+    ``some`` (K,): is in their bounding boxes."""
+    first = triangles.first
+    filled = np.flatnonzero(np.diff(first))
+    low, high = np.full((2, len(first) - 1, 3), np.nan)
+    corners = [triangles.vertices[triangles.indices[:, k]] for k in range(3)]
+    low[filled] = np.min([np.minimum.reduceat(c, first[filled]) for c in corners], axis=0)
+    high[filled] = np.max([np.maximum.reduceat(c, first[filled]) for c in corners], axis=0)
+    found = np.zeros(len(some), bool)
+    for k, mesh in enumerate(some):
+        within = ((low >= low[mesh]) & (high <= high[mesh])).all(axis=1)
+        within[mesh] = False
+        found[k] = within.any() or ((low[mesh] <= 0) & (high[mesh] >= 0)).all()
+    return found
 
 
 def _cut(
@@ -138,7 +159,7 @@ def _cut(
     along = (b - a)[:, :3]
     foot = ((c - a)[:, :3] * along).sum(axis=1) / (longest[long] ** 2)
     f = a + foot[:, None] * (b - a)
-    # Each with a tip, the ends of a short edge, and how long that is; next to the ends there is no second one.
+    # A tip, the ends of a short edge, and how long that is; next to the ends there is no second one.
     whole = np.minimum(foot, 1 - foot) < TIP
     parts = (
         (whole & (foot > 0.5), a, b, c, np.ones_like(foot)),
@@ -164,5 +185,5 @@ def _cut(
         np.concatenate([row[rest], row[source]]),
         np.concatenate([side[rest], side[source]]),
         np.concatenate([corners[rest], cut[..., :3]]),
-        np.concatenate([weights[rest], cut[..., 3:]]),
+        np.concatenate([weights[rest], cut[..., 3:].astype(np.float32)]),
     )

@@ -16,8 +16,9 @@ from ...geometry.vectors import dot, take
 PATCHES = 8
 """Of a light, at most."""
 
-BACK = 0.01
-"""What is expected of the back of a closed body, over what its front sends: a point may be inside."""
+BACK = 0.05
+"""What is expected of the back of a closed body, over what its front sends: a point may be inside after all,
+and has half as much noise again then where something else shines there."""
 
 _BY_AREA = np.float32(0.05)
 """Part of the chances that go by the area alone."""
@@ -43,10 +44,15 @@ class Facing:
             np.asarray(x).astype(np.float32) for x in (centre, normal, reach * reach, turning, back)
         )
 
-    def shown(self, which: np.ndarray, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def shown(
+        self, which: np.ndarray, vector: np.ndarray, along: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What part of their area patches show, and the square of a distance by which that falls off.
 
         which : indices along the patches' last axis. vector : (3, ...) from them to points.
+        along : (3, ...) unit directions of lines of which these are the nearest points, None for the points
+            alone. The mean of a cosine over all angles under which a line is seen is as if that part of the
+            normal came to the root alone, but for a factor alike for all.
         """
         normal, reach, turning, back = (
             take(x, which) for x in (self._normal, self._reach, self._turning, self._back)
@@ -58,6 +64,8 @@ class Facing:
         cosine *= np.sqrt(inverse)
         # What is near is seen under many angles.
         turning = turning + np.float32(0.25) * reach * inverse
+        if along is not None:
+            turning += dot(normal, along) ** 2
         both = np.sqrt(cosine * cosine + turning)
         front = np.float32(0.5) * (cosine + both)
         return front + back * (both - front), square
@@ -84,14 +92,15 @@ class Patches:
         shape = len(count), PATCHES
         facing, total = facing_of(middle, normal, area, reach, back, self.start)
         share = (total.reshape(shape) / np.maximum(total.reshape(shape).sum(axis=1, keepdims=True), 1e-300)).T
-        self._share = share.astype(np.float32)
+        # However small, none is without a chance.
+        self._share = np.where(share > 0, np.maximum(share, 1e-30), 0).astype(np.float32)
         self._facing = Facing(*(np.moveaxis(x.reshape(*x.shape[:-1], *shape), -1, -2) for x in facing))
 
     def choose(
         self, light: np.ndarray, position: np.ndarray, w: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of lights (M,), for points (3, M), by w (M,): patches, numbered light after light; by how much their
-        shares of the area exceed their chances (M,); and what that left of w.
+        """Of lights (M,), for points (3, M), by w (M,): patches, numbered light after light; by how much
+        their shares of the area exceed their chances (M,); and what that left of w.
         """
         patch, gain, left = np.empty(len(w), np.intp), *np.empty((2, len(w)), np.float32)
         for part in _chunks(len(w)):
@@ -102,7 +111,7 @@ class Patches:
                 slot += w[part] >= upper[k - 1]
                 upper[k] += upper[k - 1]
             slot = np.minimum(slot.astype(np.intp), self._count.take(some) - 1)
-            upper, chance, share = (_chosen(x, slot) for x in (upper, chance, share))
+            upper, chance, share = (_of_slot(x, slot) for x in (upper, chance, share))
             patch[part] = some * PATCHES + slot
             gain[part] = share / chance
             left[part] = np.clip(1 - (upper - w[part]) / chance, 0, _BELOW_ONE)
@@ -113,7 +122,7 @@ class Patches:
         gain = np.empty(len(patch), np.float32)
         for part in _chunks(len(patch)):
             light, slot = np.divmod(patch[part], PATCHES)
-            share, chance = (_chosen(x, slot) for x in self._chances(light, position[:, part]))
+            share, chance = (_of_slot(x, slot) for x in self._chances(light, position[:, part]))
             gain[part] = share / chance
         return gain
 
@@ -124,7 +133,10 @@ class Patches:
         shown, square = self._facing.shown(light, vector)
         chance = shown * share
         chance /= square
-        total = chance.sum(axis=0)
+        # Not by ``sum``, which adds those of a single point in another order.
+        total = chance[0].copy()
+        for row in chance[1:]:
+            total += row
         usable = (total > np.float32(1e-30)) & (total < np.float32(1e30))
         chance *= np.where(usable, (1 - _BY_AREA) / np.where(usable, total, 1), 0)
         chance += np.where(usable, _BY_AREA, 1) * share
@@ -154,7 +166,7 @@ def facing_of(
     return (centre, far, turned, most), total
 
 
-def _chosen(a: np.ndarray, slot: np.ndarray) -> np.ndarray:
+def _of_slot(a: np.ndarray, slot: np.ndarray) -> np.ndarray:
     """(M,) of ``a`` (K, M), in one slot (M,) each."""
     return a.reshape(-1).take(slot * a.shape[1] + np.arange(a.shape[1]))
 

@@ -15,7 +15,7 @@ POSITION, TARGET = (-0.7, -0.5, 2.0), (0.1, 0.1, 0.0)
 class Case:
     """One light.
 
-    kind : POINT, SPOT, AREA, SUN, or MESH (an emitting icosphere), or WORLD.
+    kind : POINT, SPOT, AREA, SUN, or MESH (an emitting icosphere), GLOSSY MESH (a box), or WORLD.
     power : W; W/m2 for a sun, W/(sr m2) for a mesh and the world.
     properties : of Blender's light. scale : of its object. since : the first Blender that has all this.
     """
@@ -99,6 +99,7 @@ CASES = (
     _sun("angle 60 degrees", 60.0),
     _sun("angle 30 degrees, normalize off", 30.0, **BARE),
     Case("mesh with emission", "MESH", 9.0),
+    Case("glossy mesh with emission, in the frame", "GLOSSY MESH", 5.0, position=(-0.6, 0.5, 0.9)),
     Case("world", "WORLD", 0.5),
 )
 
@@ -126,11 +127,30 @@ def build(case: Case) -> None:
     if case.kind == "MESH":
         glow = studio.material("Glow", (1.0, 0.8, 0.6), emission=case.power)
         studio.place("Light", studio.ball("Light", 0.3, glow, cells=2), case.position)
+    elif case.kind == "GLOSSY MESH":
+        box = studio.box("Light", (0.15, 0.15, 0.6), _glossy(case.power))
+        studio.place("Light", box, case.position, rotation_euler=(0.3, 0.8, 0))
     elif case.kind != "WORLD":
         light = studio.light(case.kind, case.position, case.power, (1.0, 0.9, 0.7), TARGET, **case.properties)
         light.matrix_world = light.matrix_world @ _scaling(case.scale)
         bpy.context.view_layer.update()
     studio.camera((0.0, -4.6, 2.8), (0.05, 0.15, 0.3), lens=80)
+
+
+def _glossy(emission: float) -> Any:
+    """Principled, as whoever sets an emission strength has it."""
+    from example_blends import studio
+
+    made = studio.material("Glow")
+    nodes = made.node_tree.nodes
+    shader = nodes.new("ShaderNodeBsdfPrincipled")
+    shader.inputs["Base Color"].default_value = (0.4, 0.3, 0.2, 1.0)
+    shader.inputs["Roughness"].default_value = 0.4
+    shader.inputs["Emission Color"].default_value = (1.0, 0.8, 0.6, 1.0)
+    shader.inputs["Emission Strength"].default_value = emission
+    (output,) = (node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    made.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return made
 
 
 def _scaling(scale: tuple[float, float, float]) -> Any:

@@ -75,7 +75,7 @@ class PrimarySpace:
         self.lights = len(self._direct.lights)
         choice = EvenChoice(self.lights) if self.lights > 1 else None
         self._integrand = DirectLightOverTile(self._direct, choice)
-        self.dimensions = 5 if self._direct.chooses_triangle else 4
+        self.dimensions = 5 if self._direct.chooses_piece else 4
         self.width, self.height = self.scene.camera.region_size
 
     def values(self, screen: np.ndarray, light: np.ndarray, place: np.ndarray) -> np.ndarray:

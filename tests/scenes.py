@@ -25,6 +25,7 @@ from engine_core import (
     World,
     render,
 )
+from engine_core.geometry.triangles import Triangles
 from engine_core.settings import DIRECT_SAMPLING, INTEGRATORS
 from engine_core.shading.closures import (
     Add,
@@ -40,6 +41,7 @@ from engine_core.shading.closures import (
 )
 from engine_core.shading.coordinates import GENERATED, NORMAL, TOWARDS_VIEWER
 from engine_core.shading.values import Value, value_at
+from engine_core.transport.emitters.mesh_pieces import Pieces
 
 WHITE = Material(1.0)
 
@@ -513,3 +515,12 @@ def clouds(camera: Camera, radius: float, *lights) -> Scene:
         for at in random.uniform((-2.5, -1.0, -0.5), (2.5, 3.0, 2.5), (12, 3))
     ]
     return Scene(camera, (box(), *balls), [Material(0.0)] * 13, lights, volumes=[Volume(scattering=2.0)])
+
+
+def whole_pieces(triangles: Triangles, *rows: np.ndarray) -> Pieces:
+    """Triangles as they are, those of each light in ``rows``, seen from both sides."""
+    row = np.concatenate(rows)
+    corners = triangles.vertices[triangles.indices[row]].astype(np.float64)
+    weights = np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (len(row), 1, 1))
+    first = np.cumsum([0, *(len(some) for some in rows)])
+    return Pieces(row.astype(np.int32), corners, weights, np.zeros(len(row), np.int8), first)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import place
+from scenes import place, whole_pieces
 from scipy import stats
 
 from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight, SunLight, World
 from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
-from engine_core.transport.emitters import Emitters, MeshEmitters, Pieces, emitter_groups
+from engine_core.transport.emitters import Emitters, MeshEmitters, emitter_groups
 
 SAMPLES = 200_000
 ROWS, COLUMNS, FINE = 20, 40, 24
@@ -46,7 +46,7 @@ class Case:
         triangles, _ = gather_triangles(self.meshes, FRAME)
         if self.meshes:
             # As one light, however few its triangles.
-            return MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(len(triangles))]))
+            return MeshEmitters(np.ones((1, 3)), whole_pieces(triangles, np.arange(len(triangles))))
         groups, messages = emitter_groups(self.lights, self.world, (Material(),), triangles, FRAME)
         assert len(groups) == 1 and len(groups[0]) == 1 and not messages
         return groups[0]
@@ -160,7 +160,7 @@ def _half_disk(name: str, count: int, centre: Any = (0.5, -0.4, 2.0)) -> Case:
 
     figure = _in_plane(matrix, 1.0, inside)
     triangles, _ = gather_triangles((mesh,), FRAME)
-    group = MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(count)]))
+    group = MeshEmitters(np.ones((1, 3)), whole_pieces(triangles, np.arange(count)))
 
     def density(d: np.ndarray) -> np.ndarray:
         to_light = d * ((matrix[:3, 3] - POINT) @ matrix[:3, 2] / (matrix[:3, 2] @ d))

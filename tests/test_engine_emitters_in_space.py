@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import box, floor, mixed_lights, place
+from scenes import box, floor, mixed_lights, place, whole_pieces
 from scipy import integrate, stats
 from test_engine_emitters import FRAME, _frame, _unit
 
@@ -17,7 +17,7 @@ from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight,
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.shading.closures import Emission
 from engine_core.shading.values import OfSurface
-from engine_core.transport.emitters import Emitters, MeshEmitters, Pieces, emitter_groups
+from engine_core.transport.emitters import Emitters, MeshEmitters, emitter_groups
 from engine_core.transport.light_samples import SceneLights
 from engine_core.transport.surface_shading import SurfaceShader
 
@@ -48,7 +48,7 @@ def _group(*lights: Light, world: World | None = None) -> Emitters:
 def _mesh(*corners: np.ndarray) -> MeshEmitters:
     mesh = Mesh(np.concatenate(corners), np.arange(3 * len(corners)).reshape(-1, 3))
     triangles, _ = gather_triangles([mesh], FRAME)
-    return MeshEmitters(np.ones((1, 3)), Pieces.of(triangles, [np.arange(len(corners))]))
+    return MeshEmitters(np.ones((1, 3)), whole_pieces(triangles, np.arange(len(corners))))
 
 
 def _scaled(scale: float, points: Any, pose: np.ndarray = POSE) -> np.ndarray:

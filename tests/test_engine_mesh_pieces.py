@@ -16,8 +16,8 @@ from engine_core.geometry.triangles import Triangles, gather_triangles
 from engine_core.shading import closures
 from engine_core.shading.abilities import abilities
 from engine_core.shading.values import Value
-from engine_core.transport.emitters import MeshEmitters, emitter_groups
-from engine_core.transport.emitters.mesh_pieces import ALONE, MOST_CUT, emissive_pieces
+from engine_core.transport.emitters import MeshEmitters, emitter_groups, mesh_pieces
+from engine_core.transport.emitters.mesh_pieces import ALONE, MOST_CUT, MOST_PAIRS, emissive_pieces
 
 FRAME = Frame(np.array([0.0, 0.0, 8.0]), 1.0)
 """Its origin is the camera, into whose surroundings no body is taken to reach."""
@@ -164,6 +164,21 @@ def test_what_may_be_looked_at_from_within_is_seen_from_both_sides():
     assert emissive_pieces(
         materials, _triangles(Mesh(dome.vertices, dome.triangles, materials=1), beside)
     ).side.all()
+
+
+@pytest.mark.parametrize("most", [MOST_PAIRS, 50])
+def test_of_many_bodies_those_that_hold_others_are_found(most: int, monkeypatch):
+    """By brute force; where they are too many to look at, all that do are found, and others may be."""
+    monkeypatch.setattr(mesh_pieces, "MOST_PAIRS", most)
+    random = np.random.default_rng(8)
+    low = random.uniform(-20, 20, (150, 3)) + (0, 0, 60)
+    high = low + random.exponential(6.0, (150, 3))
+    triangles = _triangles(*(box(*ends) for ends in zip(low, high, strict=True)))
+    within = (low[:, None] >= low) & (high[:, None] <= high)
+    holds = (within.all(axis=2) & ~np.eye(150, dtype=bool)).any(axis=0)
+    found = mesh_pieces._enclosing(np.arange(150), triangles)
+    assert holds.sum() > 3 and found[holds].all()
+    assert (found == holds).all() if most == MOST_PAIRS else (found > holds).any() and not found.all()
 
 
 # -- samples -------------------------------------------------------------------------------------------

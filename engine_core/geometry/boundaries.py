@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from .closed_meshes import edges
 from .near_balls import NearBalls
 from .raytracer import RayTracer
 
@@ -310,7 +311,7 @@ def _shape_of(vertices: np.ndarray, triangles: np.ndarray) -> _Planes | _Triangl
     triangles = welded.reshape(-1)[compact.reshape(-1, 3)].astype(np.int32)
     a, b, c = triangles.T
     triangles = np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
-    closed = len(triangles) > 0 and _is_closed(triangles, len(vertices))
+    closed = len(triangles) > 0 and np.array_equal(*edges(triangles, len(vertices)))
     corners = vertices.astype(np.float64)
     corners -= corners.mean(axis=0) if len(corners) else 0
     a, b, c = (corners[triangles[:, k]] for k in range(3))
@@ -322,12 +323,6 @@ def _shape_of(vertices: np.ndarray, triangles: np.ndarray) -> _Planes | _Triangl
     if planes is None:
         return _Triangles(vertices, triangles, sign, closed, _is_convex(corners, triangles, sign))
     return _Planes(*planes)
-
-
-def _is_closed(triangles: np.ndarray, count: int) -> bool:
-    """Whether each edge is run through once in either direction."""
-    start, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel()
-    return np.array_equal(np.sort(start * count + end), np.sort(end * np.int64(count) + start))
 
 
 def _is_convex(vertices: np.ndarray, triangles: np.ndarray, sign: int) -> bool:

@@ -24,11 +24,9 @@ def outer_sides(vertices: np.ndarray, indices: np.ndarray, mesh: np.ndarray) -> 
     vertices = vertices[used].astype(np.float64)
     mesh_of = np.empty(len(vertices), np.int64)
     mesh_of[indices] = mesh[:, None]
-    start, count = _welded(vertices, mesh_of)
-    start = start[indices]
-    end = np.roll(start, -1, axis=1)
-    # Closed, if each edge is run through as often in either direction. Numbers of meshes' vertices ascend.
-    there, back = np.sort((start * count + end).ravel()), np.sort((end * count + start).ravel())
+    number, count = _welded(vertices, mesh_of)
+    # Numbers of meshes' vertices ascend, and so do those of their edges.
+    there, back = edges(number[indices], count)
     meshes = int(mesh[-1]) + 1
     unlike = np.bincount(np.repeat(mesh, 3), there != back, meshes)
     of_mesh = np.maximum(np.bincount(mesh_of, minlength=meshes), 1)
@@ -39,6 +37,13 @@ def outer_sides(vertices: np.ndarray, indices: np.ndarray, mesh: np.ndarray) -> 
     area = np.bincount(mesh, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2, meshes)
     encloses = (unlike == 0) & (np.abs(volume) > _FLAT * area**1.5)
     return (np.sign(volume) * encloses).astype(np.int8)[mesh]
+
+
+def edges(indices: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(3 T,) int64, ascending, of triangles (T, 3) of ``count`` vertices: their edges as they run, and turned
+    round. What is closed runs through each as often in either direction: both are the same."""
+    start, end = indices.astype(np.int64), np.roll(indices, -1, axis=1)
+    return np.sort((start * count + end).ravel()), np.sort((end * np.int64(count) + start).ravel())
 
 
 def _welded(points: np.ndarray, mesh: np.ndarray) -> tuple[np.ndarray, int]:

@@ -22,20 +22,18 @@ from ...scene import AreaLight, Light, Material, PointLight, SpotLight, SunLight
 from .area import AreaEmitters
 from .base import Emitters, LightHits, Sample
 from .mesh import MeshEmitters
-from .mesh_pieces import CLUSTERS, Pieces, emissive_pieces
+from .mesh_pieces import emissive_pieces
 from .points import DiskEmitters, PointEmitters, SphereEmitters
 from .sun import SunEmitters
 from .world import ImageWorldEmitter, WorldEmitter
 
 __all__ = [
-    "CLUSTERS",
     "AreaEmitters",
     "DiskEmitters",
     "Emitters",
     "ImageWorldEmitter",
     "LightHits",
     "MeshEmitters",
-    "Pieces",
     "PointEmitters",
     "Sample",
     "SphereEmitters",

@@ -21,6 +21,9 @@ CLUSTERS = 256
 LONG, MOST_CUT = 4.0, 1024
 """Edges over heights of triangles that are cut, and about how many pieces are gained at most."""
 
+MOST_PAIRS = 1 << 22
+"""Of meshes, of which one may enclose the other, that are looked at."""
+
 TIP = 0.05
 """Of the longest edge, how near its ends the third corner may be for the triangle to be a needle."""
 
@@ -41,14 +44,6 @@ class Pieces:
     weights: np.ndarray
     side: np.ndarray
     first: np.ndarray
-
-    @staticmethod
-    def of(triangles: Triangles, rows: Sequence[np.ndarray], side: np.ndarray | None = None) -> Pieces:
-        """Whole triangles, those of each light in ``rows``. side : of all of them; None for 0."""
-        row = np.concatenate(rows)
-        side = np.zeros(len(row), np.int8) if side is None else side
-        first = np.cumsum([0, *(len(some) for some in rows)])
-        return Pieces(row.astype(np.int32), _corners(triangles, row), _whole(len(row)), side, first)
 
 
 def emissive_pieces(
@@ -125,12 +120,22 @@ def _enclosing(some: np.ndarray, triangles: Triangles) -> np.ndarray:
     corners = [triangles.vertices[triangles.indices[:, k]] for k in range(3)]
     low[filled] = np.min([np.minimum.reduceat(c, first[filled]) for c in corners], axis=0)
     high[filled] = np.max([np.maximum.reduceat(c, first[filled]) for c in corners], axis=0)
-    found = np.zeros(len(some), bool)
-    for k, mesh in enumerate(some):
-        within = ((low >= low[mesh]) & (high <= high[mesh])).all(axis=1)
-        within[mesh] = False
-        found[k] = within.any() or ((low[mesh] <= 0) & (high[mesh] >= 0)).all()
-    return found
+    found = ((low[some] <= 0) & (high[some] >= 0)).all(axis=1)
+    # Only what begins between a mesh's ends along x can be within.
+    order = np.argsort(low[:, 0])
+    start = np.searchsorted(low[order, 0], low[some, 0])
+    count = np.searchsorted(low[order, 0], high[some, 0], side="right") - start
+    # Of too many, those among most others may as well be taken for enclosing.
+    crowded = np.empty(len(some), bool)
+    by_count = np.argsort(count, kind="stable")
+    crowded[by_count] = np.cumsum(count[by_count]) > MOST_PAIRS
+    found |= crowded
+    count[found] = 0
+    which = np.repeat(np.arange(len(some)), count)
+    other = order[np.arange(len(which)) + np.repeat(start - (np.cumsum(count) - count), count)]
+    mesh = some[which]
+    within = ((low[other] >= low[mesh]) & (high[other] <= high[mesh])).all(axis=1) & (other != mesh)
+    return found | (np.bincount(which, within, len(some)) > 0)
 
 
 def _cut(

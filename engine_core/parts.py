@@ -432,6 +432,7 @@ def _of_lasers(
     reflection = Reflection(
         np.array([material.reflectance for material in scene.materials]).reshape(-1, 3).T,
         surfaces.surfaces.triangles.material,
+        surfaces.surfaces.triangles.light_set,
     )
     stage = surfaces.stage
 

@@ -441,16 +441,6 @@ def test_smoke_is_left_out(cv: ModuleType, scene: Any) -> None:
     assert not volumes and messages == [f'Object "Cube": volume of material "Fog": {told}']
 
 
-def test_lights_that_should_not_light_fog(cv: ModuleType, scene: Any) -> None:
-    light = add_light(scene, "POINT")
-    light.visible_volume_scatter = False
-    assert not fogs(cv)[1]
-    add_cube(scene, 1, fog(SCATTER))
-    assert fogs(cv)[1] == [
-        'Object "Point": is invisible to volume scatter, which is not supported: it lights fog'
-    ]
-
-
 # -- against Cycles -------------------------------------------------------------------------------
 
 DEPTH = 2.0

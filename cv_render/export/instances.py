@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...engine_core import Mesh, RenderError
+from ...engine_core.scene import Linking
 from .. import memory
 from .mesh import MeshData
 
@@ -30,6 +31,9 @@ class Looks(NamedTuple):
     casts_shadow: bool
     holdout: bool
     terminator_offset: float
+    light_set: int
+    shadow_set: int
+    linking: Linking
 
 
 @dataclass

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...engine_core import AreaLight, Laser, PointLight, SpotLight, SunLight
-from ...engine_core.scene import Light
+from ...engine_core.scene import Light, Linking
 from ..properties import is_laser
 from ..versions import light_gain, light_is_normalized, node_tree
 from .material import emitted
@@ -16,7 +16,7 @@ from .messages import Messages, named
 from .nodes import described, surface
 
 
-def export_light(obj: Any, matrix: np.ndarray, messages: Messages) -> Light | None:
+def export_light(obj: Any, matrix: np.ndarray, linking: Linking, messages: Messages) -> Light | None:
     """The light of a Blender object at ``matrix`` ((4, 4) float64, less the origin).
 
     None if it has no effect.
@@ -38,6 +38,7 @@ def export_light(obj: Any, matrix: np.ndarray, messages: Messages) -> Light | No
         "casts_shadow": light.use_shadow,
         "visible_to_camera": obj.visible_camera,
         "name": obj.name,
+        "linking": linking,
     }
     make = _laser if is_laser(light) else _SHAPES[light.type]
     return make(light, matrix, shared)

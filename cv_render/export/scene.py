@@ -14,6 +14,7 @@ from ..versions import terminator_offset
 from .camera import export_camera
 from .instances import Looks, Placed, check_memory
 from .light import export_light
+from .linking import LightLinks
 from .material import Materials
 from .mesh import MeshData, read_mesh
 from .messages import Messages, named
@@ -34,12 +35,11 @@ def export_scene(engine: Any, depsgraph: Any, messages: Messages) -> Scene:
     camera, origin = export_camera(engine, scene, messages)
     if scene.render.use_motion_blur:
         messages.add(named(scene), "motion blur is not supported yet")
-    objects = Objects(view_layer, origin, messages)
+    objects = Objects(view_layer, origin, LightLinks(depsgraph.objects), messages)
     for instance in depsgraph.object_instances:
         objects.add(instance)
     check_memory(objects.groups)
     world = export_world(view_layer.world_override or scene.world, messages, objects.volumes)
-    objects.check_lights()
     return Scene(
         camera=camera,
         meshes=tuple(mesh for group in objects.groups for mesh in group.meshes(origin)),
@@ -54,14 +54,14 @@ def export_scene(engine: Any, depsgraph: Any, messages: Messages) -> Scene:
 class Objects:
     """Gathers the objects of a view layer: lights, and meshes grouped by what their instances share."""
 
-    def __init__(self, view_layer: Any, origin: np.ndarray, messages: Messages) -> None:
+    def __init__(self, view_layer: Any, origin: np.ndarray, links: LightLinks, messages: Messages) -> None:
         self._view_layer = view_layer
         self._origin = origin
+        self._links = links
         self._messages = messages
         self._groups: dict[tuple[Any, ...], list[Placed]] = {}
         self._layer_flags: dict[int, tuple[bool, bool]] = {}
-        self._without_fog: list[str] = []
-        self._volumes: dict[int, tuple[int, list[str]]] = {}
+        self._volumes: dict[tuple[int, int], tuple[int, list[str]]] = {}
         self.lights: list[Light] = []
         self.materials = Materials(messages)
         self.volumes: list[Volume] = []
@@ -94,12 +94,9 @@ class Objects:
     def _add_light(self, obj: Any, instance: Any) -> None:
         matrix = np.array(instance.matrix_world, np.float64)
         matrix[:3, 3] -= self._origin
-        light = export_light(obj, matrix, self._messages)
+        light = export_light(obj, matrix, self._links.linking(obj), self._messages)
         if light is not None:
             self.lights.append(light)
-            if not obj.visible_volume_scatter:
-                self._without_fog.append(named(obj))
-        self._check_linking(obj)
 
     def _add_mesh(self, obj: Any, instance: Any) -> None:
         parent = instance.parent if instance.is_instance else obj
@@ -107,7 +104,9 @@ class Objects:
         visible = obj.visible_camera and parent.visible_camera and not indirect_only
         casts_shadow = obj.visible_shadow and parent.visible_shadow
         slots = self._slots(obj)
-        looks = Looks(visible, casts_shadow, holdout, terminator_offset(obj))
+        sets = self._links.sets(obj, parent)
+        linking = self._links.linking(obj)
+        looks = Looks(visible, casts_shadow, holdout, terminator_offset(obj), *sets, linking)
         key = (obj.data.as_pointer(), slots, looks)
         if key not in self._groups:
             mesh = read_mesh(obj.data, self.materials.attributes(slots))
@@ -154,12 +153,13 @@ class Objects:
         if any(modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN" for modifier in obj.modifiers):
             tell("smoke of a fluid simulation is not supported yet, it is left out")
             return -1
-        if number not in self._volumes or fog.varies:
+        key = number, looks.light_set
+        if key not in self._volumes or fog.varies:
             volume, problems = fog.volume(Region.of(mesh.vertices, matrix))
             if volume is not None:
-                self.volumes.append(volume)
-            self._volumes[number] = -1 if volume is None else len(self.volumes) - 1, problems
-        found, problems = self._volumes[number]
+                self.volumes.append(replace(volume, light_set=looks.light_set))
+            self._volumes[key] = -1 if volume is None else len(self.volumes) - 1, problems
+        found, problems = self._volumes[key]
         for problem in problems:
             tell(problem)
         if found >= 0:
@@ -171,14 +171,6 @@ class Objects:
             if looks.holdout:
                 tell("fog that is a holdout is not supported yet, it is ordinary fog")
         return found
-
-    def check_lights(self) -> None:
-        """Name the lights that should not light fog, if there is any."""
-        if self.volumes:
-            for owner in self._without_fog:
-                self._messages.add(
-                    owner, "is invisible to volume scatter, which is not supported: it lights fog"
-                )
 
     def _flags(self, obj: Any) -> tuple[bool, bool]:
         """(holdout, indirect only), of the object itself or of its collections in this view layer."""
@@ -201,12 +193,6 @@ class Objects:
             self._messages.add(named(obj), "has no material, it is rendered as diffuse grey")
         if obj.is_shadow_catcher:
             self._messages.add(named(obj), "shadow catchers are not supported yet, it is an ordinary object")
-        self._check_linking(obj)
-
-    def _check_linking(self, obj: Any) -> None:
-        linking = obj.light_linking
-        if linking.receiver_collection or linking.blocker_collection:
-            self._messages.add(named(obj), "light and shadow linking are not supported yet")
 
     def _check_hair(self, obj: Any) -> None:
         for system in obj.particle_systems:

@@ -9,9 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
+from ..scene import NO_SHADOW
 from .raytracer import FAR, ClosestHits, RayTracer
 from .triangles import Triangles
 from .vectors import dot, inverse_length, take
+
+ALL_CAST, NONE_CAST = 0, 1
+"""Numbers of blockers: all surfaces that cast shadows, and none, nor fog."""
 
 # A shadow ray to a point on a mesh ends this fraction short of it, or it would hit the light itself.
 SHORTFALL = np.float32(1.0 - 1e-4)
@@ -81,20 +85,40 @@ class Surfaces:
     any_transparent : whether a shadow may be one that lets something through.
     """
 
-    def __init__(self, triangles: Triangles, transmits: np.ndarray | None = None) -> None:
-        """transmits : (T,) bool, triangles that let light straight through; None if none does."""
+    def __init__(
+        self,
+        triangles: Triangles,
+        transmits: np.ndarray | None = None,
+        blockers: Sequence[frozenset[int] | None] = (None, NO_SHADOW),
+    ) -> None:
+        """transmits : (T,) bool, triangles that let light straight through; None if none does.
+
+        blockers : what casts shadows in the light of lights (`Linking.blockers`), with `ALL_CAST` and
+            `NONE_CAST` first. Methods take their numbers.
+        """
         self.triangles = triangles
         seen, casts = triangles.visible_to_camera, triangles.casts_shadow
-        self._camera_tracer, self._camera_rows = _tracer_of(triangles, seen)
+        camera = _tracer_of(triangles, seen)
+        self._camera_tracer, self._camera_rows = camera
         clear = None if transmits is None else np.broadcast_to(casts, transmits.shape) & transmits
         self.any_transparent = clear is not None and bool(clear.any())
-        if self.any_transparent:
-            self._clear_tracer, self._clear_rows = _tracer_of(triangles, clear)
-            casts = casts & ~clear
-        if np.array_equal(seen, casts):
-            self._shadow_tracer = self._camera_tracer
-        else:
-            self._shadow_tracer, _ = _tracer_of(triangles, casts)
+        known = [(seen, camera)]
+
+        def tracer_of(which: np.ndarray | bool) -> tuple[RayTracer, np.ndarray | None]:
+            for other, tracer in known:
+                if np.array_equal(other, which):
+                    return tracer
+            known.append((which, _tracer_of(triangles, which)))
+            return known[-1][1]
+
+        self._opaque, self._clear = [], []
+        for of_light in blockers:
+            which = _in_sets(triangles.shadow_set, of_light)
+            opaque = casts & which
+            if self.any_transparent:
+                self._clear.append(tracer_of(clear & which))
+                opaque = opaque & ~clear
+            self._opaque.append(tracer_of(opaque)[0])
 
     def first_hit(
         self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray = FAR
@@ -158,10 +182,10 @@ class Surfaces:
         return np.ascontiguousarray(origins.T)
 
     def next_transparent(
-        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray
+        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, blockers: int = ALL_CAST
     ) -> tuple[SurfacePoints, np.ndarray]:
         """Like `first_hit`, of shadow rays, with surfaces that let light straight through; reach (N,)."""
-        return self._hit(self._clear_tracer, self._clear_rows, origins, directions, reach)
+        return self._hit(*self._clear[blockers], origins, directions, reach)
 
     def _shading_normal(self, points: SurfacePoints) -> np.ndarray:
         """Interpolated normals (3, M), the geometric ones where a triangle is flat or they vanish."""
@@ -227,15 +251,36 @@ class Surfaces:
         reach = np.where(at_infinity, FAR, np.where(shortened, SHORTFALL, one)).astype(np.float32)
         return origins, directions, float(reach) if reach.ndim == 0 else reach
 
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """(K,) bool: does a surface that lets nothing through lie in the way of shadow rays?"""
-        return self._shadow_tracer.occluded(origins, directions, reach)
+    def occluded(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: float | np.ndarray,
+        blockers: np.ndarray | int = ALL_CAST,
+    ) -> np.ndarray:
+        """(K,) bool: does a surface that lets nothing through lie in the way of shadow rays?
+
+        blockers : (K,) of each ray, or of all.
+        """
+        if np.ndim(blockers) == 0:
+            return self._opaque[blockers].occluded(origins, directions, reach)
+        result = np.zeros(len(origins), bool)
+        for number in np.unique(blockers):
+            rows = np.flatnonzero(blockers == number)
+            some = reach if np.ndim(reach) == 0 else reach.take(rows)
+            rays = origins.take(rows, axis=0), directions.take(rows, axis=0)
+            result[rows] = self._opaque[number].occluded(*rays, some)
+        return result
 
     def blocked_at(
-        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: float | np.ndarray,
+        blockers: int = ALL_CAST,
     ) -> np.ndarray:
         """(K,) distances at which shadow rays meet what lets nothing through, inf where they do not."""
-        hits = self._shadow_tracer.closest_hit(origins, directions, reach)
+        hits = self._opaque[blockers].closest_hit(origins, directions, reach)
         return np.where(hits.triangle >= 0, hits.distance, np.inf)
 
     def _lift_terminator(
@@ -315,6 +360,13 @@ class Surfaces:
     @cached_property
     def any_holdout(self) -> bool:
         return bool(np.any(self.triangles.holdout))
+
+
+def _in_sets(of_triangle: np.ndarray | int, sets: frozenset[int] | None) -> np.ndarray | bool:
+    """(T,) bool, whether triangles are of some sets, None for all; a bool if all are, or none."""
+    if not sets:
+        return sets is None
+    return of_triangle in sets if np.ndim(of_triangle) == 0 else np.isin(of_triangle, list(sets))
 
 
 def _tracer_of(triangles: Triangles, which: np.ndarray | bool) -> tuple[RayTracer, np.ndarray | None]:

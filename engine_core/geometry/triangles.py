@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene import Mesh
+from ..scene import Linking, Mesh
 from .frame import Frame
 
 # A shadow ray starts this many units in the last place of its triangle's largest coordinate above
@@ -28,6 +28,8 @@ class Triangles:
     normals : (S, 9) float32, the normal of corner 0 and the differences of corners 1 and 2 to it.
     terminator_offset : float32, scalar or (T,), Cycles' shadow terminator geometry offset.
     visible_to_camera, casts_shadow, holdout : (T,) bool, or a bool if all agree.
+    light_set, shadow_set : (T,) int, or an int if all agree.
+    linking : of each mesh.
     attributes : tables of what meshes have at their corners, by name.
     first : (M + 1,) int64, where each mesh begins.
     """
@@ -42,11 +44,22 @@ class Triangles:
     visible_to_camera: np.ndarray | bool
     casts_shadow: np.ndarray | bool
     holdout: np.ndarray | bool
+    light_set: np.ndarray | int
+    shadow_set: np.ndarray | int
+    linking: tuple[Linking, ...]
     attributes: dict[str, CornerTable]
     first: np.ndarray
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def linked(self, triangle: np.ndarray) -> tuple[np.ndarray, list[Linking]]:
+        """Of triangles (K,) the number of their meshes' linking, and all linkings by number."""
+        number = {links: k for k, links in enumerate(dict.fromkeys(self.linking))}
+        if len(number) == 1:
+            return np.zeros(len(triangle), np.intp), list(number)
+        of_mesh = np.array([number[links] for links in self.linking], np.intp)
+        return of_mesh[np.searchsorted(self.first, triangle, side="right") - 1], list(number)
 
     def attribute(
         self, name: str, width: int, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
@@ -97,7 +110,7 @@ def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, l
     counts = [len(m.triangles) if keep is None else int(keep.sum()) for m, _, keep in parts]
     starts = np.cumsum([0] + [len(v) for _, v, _ in parts])
 
-    def per_triangle(field: str, dtype: type) -> np.ndarray | bool | float:
+    def per_triangle(field: str, dtype: type) -> np.ndarray | bool | int | float:
         values = {getattr(mesh, field) for mesh, _, _ in parts}
         if len(values) == 1:
             return values.pop()
@@ -131,6 +144,9 @@ def gather_triangles(meshes: Sequence[Mesh], frame: Frame) -> tuple[Triangles, l
         per_triangle("visible_to_camera", bool),
         per_triangle("casts_shadow", bool),
         per_triangle("holdout", bool),
+        per_triangle("light_set", np.int16),
+        per_triangle("shadow_set", np.int16),
+        tuple(mesh.linking for mesh in meshes),
         _corner_tables(parts, counts, select),
         np.cumsum([0, *counts]),
     )

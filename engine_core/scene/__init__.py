@@ -3,16 +3,19 @@
 
 from .camera import Camera
 from .lights import AreaLight, Laser, Light, PointLight, SpotLight, SunLight, World
+from .linking import NO_SHADOW, Linking
 from .material import Material
 from .mesh import Mesh
 from .scene import Scene
 from .volume import Volume
 
 __all__ = [
+    "NO_SHADOW",
     "AreaLight",
     "Camera",
     "Laser",
     "Light",
+    "Linking",
     "Material",
     "Mesh",
     "PointLight",

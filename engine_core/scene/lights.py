@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from .linking import NO_SHADOW, Linking
 from .validation import fail, set_array, set_colour, set_number
 
 
@@ -20,6 +21,7 @@ class Light:
         area (a light then grows brighter as it grows larger).
     casts_shadow : False lights through everything.
     visible_to_camera : a light of some size is seen in the picture itself.
+    linking : what it lights, and what casts shadows in its light.
     """
 
     power: Any
@@ -27,9 +29,15 @@ class Light:
     casts_shadow: bool = True
     visible_to_camera: bool = False
     name: str = "Light"
+    linking: Linking = Linking()
 
     def __post_init__(self) -> None:
         set_colour(self, "power")
+
+    @property
+    def links(self) -> Linking:
+        """Its linking, in which its shadow counts."""
+        return self.linking if self.casts_shadow else replace(self.linking, blockers=NO_SHADOW)
 
 
 @dataclass(frozen=True, eq=False)

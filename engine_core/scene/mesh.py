@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from .validation import fail, set_array, set_number
+from .linking import Linking
+from .validation import fail, set_array, set_integer, set_number
+
+MOST_SETS = 1 << 15
+"""Sets that meshes may be of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,9 @@ class Mesh:
     volume : index into `Scene.volumes` of the medium that the mesh, which should be closed, encloses; -1 for
         none. Media that overlap add up.
     surface : False has the mesh bound its volume only: its triangles are not drawn and cast no shadow.
+    light_set, shadow_set : which set it is of that `Linking` names, as a receiver and as a blocker; of meshes
+        that no light is linked to, 0.
+    linking : what its emission lights, and what casts shadows in it.
     attributes : for each name (T, 3, C) float32 of each triangle's corners, or (T, 1, C) of triangles.
     """
 
@@ -42,6 +49,9 @@ class Mesh:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     volume: int = -1
     surface: bool = True
+    light_set: int = 0
+    shadow_set: int = 0
+    linking: Linking = Linking()
 
     def __post_init__(self) -> None:
         vertices = set_array(self, "vertices", (None, 3), np.float32, finite=False)
@@ -59,6 +69,8 @@ class Mesh:
         else:
             set_array(self, "materials", (len(triangles),), np.int32)
         set_number(self, "terminator_offset", 0.0, 1.0)
+        set_integer(self, "light_set", 0, MOST_SETS - 1)
+        set_integer(self, "shadow_set", 0, MOST_SETS - 1)
         object.__setattr__(self, "attributes", {k: self._attribute(k, v) for k, v in self.attributes.items()})
 
     def _attribute(self, name: str, values: Any) -> np.ndarray:

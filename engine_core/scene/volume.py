@@ -19,6 +19,7 @@ class Volume:
     anisotropy : (S,) their Henyey-Greenstein g, in [-1, 1]: the mean cosine, above 0 forwards.
     absorption : RGB absorption coefficient.
     emission : RGB radiance per unit length, in W/(sr m3).
+    light_set : which set it is of that `Linking.receivers` names.
     """
 
     scattering: Any = 0.0
@@ -26,6 +27,7 @@ class Volume:
     anisotropy: Any = 0.0
     emission: Any = 0.0
     name: str = "Volume"
+    light_set: int = 0
 
     def __post_init__(self) -> None:
         if np.ndim(self.scattering) < 2:

@@ -27,7 +27,7 @@ class BareLights:
 
     number : (L,) of the scene's lights, ascending.
     position : (3, L) float64; of suns the direction to them. strength : (3, L) float64.
-    kind : (L,) `POINT`, `SPOT` or `SUN`. casts_shadow : (L,) bool.
+    kind : (L,) `POINT`, `SPOT` or `SUN`. blockers : (L,) numbers, as of `Links`.
     axes : (3, 3, L) rows of the maps to spots' own spaces. below, sharpness : (L,) 1 - cosine of half the
         cone's angle, and 1 over the width of its edge in cosines.
     state : (L,) uint64, which fogs all of a light is in; without meaning for suns.
@@ -44,7 +44,7 @@ class BareLights:
     position: np.ndarray
     strength: np.ndarray
     kind: np.ndarray
-    casts_shadow: np.ndarray
+    blockers: np.ndarray
     axes: np.ndarray
     below: np.ndarray
     sharpness: np.ndarray
@@ -103,10 +103,10 @@ class BareLights:
             origins = np.ascontiguousarray(origins.reshape(3, -1).T, np.float32)
             inside = media.along(origins, np.eye(1, 3, dtype=np.float32), 1e-6).state
             state = np.bitwise_and.reduce(inside.reshape(-1, count), axis=0)
-        casts = scene.casts_shadow[number]
+        blockers = scene.links.blockers[number]
         lamp = number * _NEXT_LIGHT % 1
         return BareLights(
-            number, position, strength, kind, casts, axes, below, sharpness, state,
+            number, position, strength, kind, blockers, axes, below, sharpness, state,
             shape, radius, lamp, opposite, back, *np.zeros((2, count)),
         )  # fmt: skip
 

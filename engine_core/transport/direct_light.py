@@ -23,7 +23,7 @@ import numpy as np
 
 from ..bsdf.diffuse import Lambert
 from ..geometry.frame import frame_of
-from ..geometry.surfaces import SurfacePoints, Surfaces
+from ..geometry.surfaces import NONE_CAST, SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, inverse_length, take
 from ..scene import Scene
@@ -43,6 +43,7 @@ from .light_choice import (
     pilot_points,
 )
 from .light_samples import LightSamples, SceneLights
+from .links import Links, blockers_of, linked_to_some_fogs
 from .media import Media
 from .shadows import Shadows
 from .surface_shading import Slot, SurfaceShader
@@ -134,12 +135,17 @@ class DirectLight:
         self.shader = shader = SurfaceShader(scene.materials, triangles, frame)
         transmits = shader.transmits
         times.append(perf_counter())
-        self.surfaces = Surfaces(triangles, transmits[triangles.material] if transmits.any() else None)
+        of_triangle = transmits[triangles.material] if transmits.any() else None
+        blockers = blockers_of(scene)
+        self.surfaces = Surfaces(triangles, of_triangle, blockers)
         times.append(perf_counter())
         materials = shader.with_mean_emission(scene.materials)
         groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame, transmits)
         self.messages += messages
-        self.lights = SceneLights(groups, shader, triangles)
+        linking = [links for group in groups for links in group.linking]
+        self.messages += linked_to_some_fogs(scene)
+        links = Links(linking, triangles, blockers, scene.volumes)
+        self.lights = SceneLights(groups, shader, triangles, links)
         times.append(perf_counter())
         stages = ("triangles", "materials", "Embree", "emitters")
         self.seconds = dict(zip(stages, np.diff(times).tolist(), strict=True))
@@ -360,8 +366,7 @@ class DirectLight:
         if self.sampling == "mis":
             if choice is not None and not isinstance(choice, EveryLight):
                 cell = None if hits.cell is None else hits.cell.take(samples.at)
-                position, normal = take(points.position, samples.at), take(points.normal, samples.at)
-                density = density * choice.pdf(samples.light, position, normal, cell)
+                density = density * self.lights.chance(points, samples, choice, cell)
             value *= _power(pdf, density)
         value *= radiance
         value /= np.maximum(pdf, np.float32(1e-37))
@@ -419,17 +424,17 @@ class DirectLight:
         cosine : (K,) of the directions to the shading normals. kind : what the rays count as.
         bad : samples that were not finite.
         """
-        casts_shadow = self.lights.casts_shadow
-        if casts_shadow.all():
-            arrive, passed, crossings = self.shadows.arriving(points, samples, cosine)
+        blockers = self.lights.links.casting(samples.light)
+        if np.ndim(blockers) == 0 and blockers != NONE_CAST:
+            arrive, passed, crossings = self.shadows.arriving(points, samples, cosine, blockers)
             return arrive, passed, Counter({kind: len(cosine), CROSSING: crossings, NON_FINITE: bad})
-        casts = np.broadcast_to(
-            casts_shadow.take(0 if samples.light is None else samples.light), cosine.shape
+        blockers = np.broadcast_to(blockers, cosine.shape)
+        lanes = np.flatnonzero(blockers != NONE_CAST)
+        arrive, passed, crossings = self.shadows.arriving(
+            points, samples.take(lanes), cosine.take(lanes), blockers.take(lanes)
         )
-        lanes = np.flatnonzero(casts)
-        arrive, passed, crossings = self.shadows.arriving(points, samples.take(lanes), cosine.take(lanes))
         counts = Counter({kind: len(lanes), CROSSING: crossings, NON_FINITE: bad})
-        part = np.ones((3, len(casts)), np.float32)
+        part = np.ones((3, len(cosine)), np.float32)
         part[:, lanes] = 0
         part[:, lanes.take(arrive)] = 1 if passed is None else passed
         arrive = np.flatnonzero(part.any(axis=0))

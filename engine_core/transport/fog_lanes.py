@@ -119,14 +119,14 @@ class Lanes(ABC):
     segment : (n,) row, light : (n,) row, or (1,) of the only light.
     breaks : (B, n) ascending places s between which the integrand is smooth.
     lit : (2, n), two of them outside of which it is next to nothing; None if that is not known.
-    casts_shadow : (n,) or (1,) bool.
+    blockers : (n,) or (1,) what casts shadows, as of `Links`.
     shift : (n,) float32 in [0, 1), as if by chance, another one for each camera ray.
     turn : (n,) the same, how lanes of one ray and light are staggered; None if there is but one.
     several : (n,) how many pairs of lanes a ray and a light have; None if no more than one.
     """
 
     # What may have one entry for all lanes: these are not taken from then.
-    _COMMON = frozenset(("light", "mixture", "sigma", "casts_shadow"))
+    _COMMON = frozenset(("light", "mixture", "sigma", "blockers"))
 
     def __init__(
         self, segments: FogSegments, lights: BareLights, media: Media, segment: np.ndarray, light: np.ndarray
@@ -135,7 +135,7 @@ class Lanes(ABC):
         self.segment, self.light = segment, light
         self.mixture = segments.mixture if len(segments.mixture) == 1 else segments.mixture.take(segment)
         self.sigma = take(segments.sigma, self.mixture)
-        self.casts_shadow = lights.casts_shadow.take(light)
+        self.blockers = lights.blockers.take(light)
         self.breaks = np.zeros((0, len(segment)))
         self.lit: np.ndarray | None = None
         self.along = take(segments.direction, segment).astype(np.float32)
@@ -155,6 +155,18 @@ class Lanes(ABC):
                 value = value.take(rows, axis=-1)
             part.__dict__[name] = value
         return part
+
+    def _visible(
+        self, surfaces: Surfaces, origin: np.ndarray, vector: np.ndarray, reach: float
+    ) -> np.ndarray:
+        """(..., n) bool, whether no shadow falls along ``vector`` (..., n, 3) from ``origin``."""
+        shape, blockers = origin.shape[:-1], self.blockers
+        if len(blockers) == 1 or (blockers == blockers[0]).all():
+            blockers = int(blockers[0])
+        else:
+            blockers = np.broadcast_to(blockers, shape).reshape(-1)
+        rays = (np.ascontiguousarray(x.reshape(-1, 3)) for x in (origin, vector))
+        return ~surfaces.occluded(*rays, reach, blockers).reshape(shape)
 
     def radiance(self, integrals: np.ndarray) -> np.ndarray:
         """(3, n) radiance that integrals (G, C, n) over s of `smooth` come to."""
@@ -413,7 +425,7 @@ class AboutPoints(Lanes):
         else:
             lights = self._lights.position.T.astype(np.float32)
             origin[:] = lights[0] if len(lights) == 1 else lights.take(self.light, axis=0)
-        return ~surfaces.occluded(origin.reshape(-1, 3), vector.reshape(-1, 3), reach).reshape(x.shape)
+        return self._visible(surfaces, origin, vector, reach)
 
 
 class TowardsSuns(Lanes):
@@ -461,7 +473,7 @@ class TowardsSuns(Lanes):
             return self.seen(s[None], surfaces)[0]
         _, position = self._place(s)
         towards = np.broadcast_to(self._towards[:, None], position.shape)
-        return ~surfaces.occluded(_rows(position), _rows(towards), FAR).reshape(position.shape[1:])
+        return self._visible(surfaces, np.moveaxis(position, 0, -1), np.moveaxis(towards, 0, -1), FAR)
 
 
 def _rows(a: np.ndarray) -> np.ndarray:

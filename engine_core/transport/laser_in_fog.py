@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import take
 from . import phase
 from .direct_light import CROSSING, SHADOW
@@ -232,8 +233,8 @@ class LaserInFog(Scattered):
         """
         arrive, part = np.arange(v.size), None
         origins, directions = between(segments, stretch, v, t)
-        if stretch.casts_shadow:
-            arrive, part = self.arrivals(*shortened(origins, directions))
+        if stretch.blockers != NONE_CAST:
+            arrive, part = self.arrivals(*shortened(origins, directions), stretch.blockers)
         if not one_fog:
             origins, directions = origins.take(arrive, axis=0), directions.take(arrive, axis=0)
             left = np.exp(-self.depth_between(stretch, origins, directions))
@@ -241,10 +242,10 @@ class LaserInFog(Scattered):
         return arrive, part
 
     def arrivals(
-        self, origins: np.ndarray, directions: np.ndarray, reach: float
+        self, origins: np.ndarray, directions: np.ndarray, reach: float, blockers: int
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of rays (N, 3) no surface blocks, and what part (3, J) gets through; None for all."""
-        arrive, part, crossings = self._scattering.shadows.passing(origins, directions, reach)
+        arrive, part, crossings = self._scattering.shadows.passing(origins, directions, reach, blockers)
         self._count(SHADOW, len(origins))
         self._count(CROSSING, crossings)
         return arrive, part

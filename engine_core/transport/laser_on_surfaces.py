@@ -19,9 +19,11 @@ from threading import Lock
 
 import numpy as np
 
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, inverse_length, take
 from ..integration.integrand import FirstStage
 from ..integration.mapping import Map
+from ..scene import Linking
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _inset
 from .laser_maps import LEAST_DISTANCE, at_half_angle, half_angles
@@ -66,18 +68,39 @@ class Towards:
     is_mesh: bool = True
 
 
+EVERYTHING = Linking()
+
+
 class Reflection:
     """What the points of camera hits reflect."""
 
-    def __init__(self, reflectance: np.ndarray, material: np.ndarray) -> None:
-        """Where all are Lambertian: reflectance (3, number of materials), and each triangle's material."""
-        self._lambert = (np.asarray(reflectance) / np.pi).astype(np.float32)
-        self._material = material
+    def __init__(
+        self, reflectance: np.ndarray, material: np.ndarray, light_set: np.ndarray | int = 0
+    ) -> None:
+        """Where all are Lambertian: reflectance (3, number of materials), and each triangle's material.
 
-    def of(self, hits: CameraHits, at: np.ndarray, direction: np.ndarray, value: np.ndarray) -> None:
-        """Multiply ``value`` (3, N) with BSDF and cosine of points ``at`` (N,), for light from unit
-        ``direction`` (3, N) float32, and with what fog leaves on the way to the camera.
+        light_set : as of `Triangles`.
         """
+        self._lambert = (np.asarray(reflectance) / np.pi).astype(np.float32)
+        self._material, self._set = material, light_set
+
+    def of(
+        self,
+        hits: CameraHits,
+        at: np.ndarray,
+        direction: np.ndarray,
+        value: np.ndarray,
+        linking: Linking = EVERYTHING,
+    ) -> None:
+        """Multiply ``value`` (3, N) with BSDF and cosine of points ``at`` (N,), for light from unit
+        ``direction`` (3, N) float32, and with what fog leaves on the way to the camera; with 0 where the
+        light is not linked to them.
+        """
+        if linking.receivers is not None:
+            sets = self._set
+            if np.ndim(sets):
+                sets = sets.take(hits.points.triangle.take(at))
+            value *= np.isin(sets, list(linking.receivers))
         if hits.slots is None:
             value *= take(self._lambert, self._material.take(hits.points.triangle.take(at)))
             value *= np.maximum(dot(take(hits.points.normal, at), direction), 0)
@@ -153,8 +176,8 @@ class LaserOnSurfaces:
         for stretch in self.stretches:
             value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
             lit = np.flatnonzero(self.finite(value).any(axis=0))
-            if stretch.casts_shadow:
-                arrive, part = self.arrivals(hits, every.take(lit), take(to_beam, lit))
+            if stretch.blockers != NONE_CAST:
+                arrive, part = self.arrivals(hits, every.take(lit), take(to_beam, lit), stretch.blockers)
                 lit = lit.take(arrive)
                 value = take(value, lit) if part is None else take(value, lit) * part
             else:
@@ -200,13 +223,13 @@ class LaserOnSurfaces:
         return value
 
     def arrivals(
-        self, hits: CameraHits, at: np.ndarray, to_beam: np.ndarray
+        self, hits: CameraHits, at: np.ndarray, to_beam: np.ndarray, blockers: int
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of points ``at`` (N,) see where ``to_beam`` (3, N) leads, and what part (3, J) of its
         light gets through; None for all.
         """
         cosine = dot(take(hits.points.normal, at), to_beam) * inverse_length(to_beam)
-        arrive, part, crossings = self._shadows.arriving(hits.points, Towards(at, to_beam), cosine)
+        arrive, part, crossings = self._shadows.arriving(hits.points, Towards(at, to_beam), cosine, blockers)
         self._count(SHADOW, len(at))
         self._count(CROSSING, crossings)
         return arrive, part
@@ -272,5 +295,5 @@ def reflected(
     cos = (-x * inverse).ravel()
     value = scattered(stretch.scattering, *halves(cos)) * (stretch.transmittance(v) * weight.ravel())
     value = (value * stretch.power[:, None]).astype(np.float32)
-    reflection.of(hits, every, direction.reshape(3, -1), value)
+    reflection.of(hits, every, direction.reshape(3, -1), value, stretch.laser.linking)
     return value, v, to_beam.reshape(3, -1)

@@ -22,6 +22,7 @@ from threading import Lock
 
 import numpy as np
 
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, take
 from ..geometry.warps import basis
 from .camera_hits import CameraHits, CameraStage, Pixels
@@ -109,13 +110,13 @@ class LasersSeen:
         direction = np.broadcast_to(-axis.astype(np.float32), (3, len(at)))
         value = np.empty((3, len(at)), np.float32)
         value[:] = (beam.power / (np.pi * beam.radius**2))[:, None]
-        self._reflection.of(hits, at, direction, value)
+        self._reflection.of(hits, at, direction, value, beam.laser.linking)
         lit = np.flatnonzero(value.any(axis=0))
         at, v, value = at.take(lit), v.take(lit), take(value, lit)
         back = (-axis * v).astype(np.float32)
-        if beam.casts_shadow:
+        if beam.blockers != NONE_CAST:
             cosine = dot(take(points.normal, at), take(direction, lit))
-            arrive, part, crossings = self._shadows.arriving(points, Towards(at, back), cosine)
+            arrive, part, crossings = self._shadows.arriving(points, Towards(at, back), cosine, beam.blockers)
             self._count(SHADOW, len(at))
             self._count(CROSSING, crossings)
             at, v, back, value = at.take(arrive), v.take(arrive), take(back, arrive), take(value, arrive)

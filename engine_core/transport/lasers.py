@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frame import Frame
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.warps import basis
 from ..scene import Laser, Scene
 from . import phase
+from .links import blockers_of, lights_fog
 from .media import Media
 from .shadows import Shadows
 
@@ -39,7 +41,7 @@ class Stretch:
     length : of the stretch. radius : of the beam.
     power : (3,) flux that enters it, but for fog. depth : (C, 1) optical depth of the fog before it.
     extinction : (C, 1). scattering : of each phase function, (3, 1) and g.
-    inside : bits of the bodies that it lies in, as in `RayMedia`. casts_shadow : of the light.
+    inside : bits of the bodies that it lies in, as in `RayMedia`. blockers : what casts shadows in the light.
     """
 
     start: np.ndarray
@@ -52,7 +54,7 @@ class Stretch:
     extinction: np.ndarray
     scattering: list[tuple[np.ndarray, float]]
     inside: np.uint64
-    casts_shadow: bool
+    blockers: int
     laser: Laser
 
     def transmittance(self, v: np.ndarray) -> np.ndarray:
@@ -75,7 +77,7 @@ class Beam:
     power: np.ndarray
     inside: np.uint64
     ends: list[np.ndarray]
-    casts_shadow: bool
+    blockers: int
     laser: Laser
 
 
@@ -95,6 +97,7 @@ class Lasers:
         lasers = [light for light in scene.lights if isinstance(light, Laser)]
         lasers = [light for light in lasers if (light.power > 0).any() and not (light.power < 0).any()]
         messages, beams, stretches = [], [], []
+        blockers = blockers_of(scene)
         if len(lasers) > MOST:
             messages.append(f"There are {len(lasers)} lasers; all but the {MOST} most powerful are left out.")
             lasers.sort(key=lambda laser: -laser.power.sum())
@@ -105,14 +108,21 @@ class Lasers:
                 messages.append(f'Laser "{laser.name}" has a scale of 0 along its axis; it is left out.')
                 continue
             axis = axis / largest
-            beam, parts = _traced(laser, axis / np.linalg.norm(axis), frame, media, shadows)
+            number = blockers.index(laser.links.blockers)
+            beam, parts = _traced(laser, axis / np.linalg.norm(axis), frame, media, shadows, number)
             beams.append(beam)
-            stretches += parts
+            if lights_fog(laser.linking, scene.volumes):
+                stretches += parts
         return Lasers(beams, stretches, messages) if beams else None
 
 
 def _traced(
-    laser: Laser, direction: np.ndarray, frame: Frame, media: Media | None, shadows: Shadows
+    laser: Laser,
+    direction: np.ndarray,
+    frame: Frame,
+    media: Media | None,
+    shadows: Shadows,
+    blockers: int,
 ) -> tuple[Beam, list[Stretch]]:
     """A laser's beam up to the first surface that blocks it, and its stretches in fog that scatters."""
     origin = (laser.light_to_world[:3, 3] - frame.origin) * frame.scale
@@ -121,8 +131,8 @@ def _traced(
     row, along = origin.astype(np.float32)[None], direction.astype(np.float32)[None]
     length = laser.length * frame.scale
     ends, left = np.zeros(0), np.ones((3, 1))
-    if laser.casts_shadow:
-        ends, part = shadows.met(row, along, length)
+    if blockers != NONE_CAST:
+        ends, part = shadows.met(row, along, length, blockers)
         left = np.concatenate([left, part], axis=1)
         if ends.size and not part[:, -1].any():
             length = float(ends[-1])
@@ -132,7 +142,7 @@ def _traced(
     # Beside its axis a beam may pass what blocks it there.
     whole = laser.length * frame.scale
     met = _ends(origin, direction, radius, whole, shadows)
-    beam = Beam(origin, direction, whole, radius, power, inside, met, laser.casts_shadow, laser)
+    beam = Beam(origin, direction, whole, radius, power, inside, met, blockers, laser)
     if fog is None or not length > 0:
         return beam, []
     stretches = []
@@ -159,7 +169,7 @@ def _traced(
                         extinction,
                         components,
                         fog.inside[k],
-                        laser.casts_shadow,
+                        blockers,
                         laser,
                     )
                 )

@@ -61,16 +61,27 @@ class LightChoice(Protocol):
     """A discrete distribution over lights at every shaded point."""
 
     def choose(
-        self, position: np.ndarray, normal: np.ndarray, cell: np.ndarray | None, w: np.ndarray
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        cell: np.ndarray | None,
+        w: np.ndarray,
+        lit: np.ndarray | None = None,
     ) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
         position, normal : (3, M). cell : (M,). w : (M, S) uniform in (0, 1).
+        lit : (L, M) bool, which lights are linked to the points; None for all.
         """
         ...
 
     def pdf(
-        self, light: np.ndarray, position: np.ndarray, normal: np.ndarray, cell: np.ndarray | None
+        self,
+        light: np.ndarray,
+        position: np.ndarray,
+        normal: np.ndarray,
+        cell: np.ndarray | None,
+        lit: np.ndarray | None = None,
     ) -> np.ndarray:
         """(N,) probabilities with which `choose` takes ``light`` (N,) at points (3, N) of ``cell`` (N,)."""
         ...
@@ -123,28 +134,31 @@ class EveryLight:
 
 
 class WeighedLights:
-    """Every light weighed at every point."""
+    """Every light that is linked to a point weighed there."""
 
     def __init__(self, lights: Lights) -> None:
         self._lights = lights
         self._number = np.ones(len(lights), np.float32)
 
-    def choose(self, position, normal, cell, w) -> Choice:
+    def choose(self, position, normal, cell, w, lit=None) -> Choice:
         parts = []
         for part in _chunks(0, len(w), len(self._lights)):
-            slots = self._slots(position[:, part], normal[:, part])
+            slots = self._slots(position, normal, lit, part)
             parts.append(slots.pick(w[part])[:3])
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, lit=None) -> np.ndarray:
         result = np.empty(len(light), np.float32)
         for part in _chunks(0, len(light), len(self._lights)):
-            slots = self._slots(position[:, part], normal[:, part])
+            slots = self._slots(position, normal, lit, part)
             result[part] = slots.chosen(slots.weight, light[part]) / slots.upper[-1]
         return result
 
-    def _slots(self, position: np.ndarray, normal: np.ndarray) -> _Slots:
-        return _Slots(self._lights.irradiance(position, normal), self._number)
+    def _slots(self, position: np.ndarray, normal: np.ndarray, lit: np.ndarray | None, part: slice) -> _Slots:
+        irradiance = self._lights.irradiance(position[:, part], normal[:, part])
+        if lit is not None:
+            irradiance *= lit[:, part]
+        return _Slots(irradiance, self._number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,29 +288,34 @@ def _candidates(irradiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray,
 
 
 class CandidateLights:
-    """For each of K cells, candidates weighed at every point, and all other lights by these."""
+    """For each of K cells, candidates weighed at every point, and all other lights by these.
+
+    Of what is linked to a point only the candidates are known.
+    """
 
     def __init__(self, lights: Lights, clusters: Sequence[Clusters]) -> None:
         self._lights = lights
         self._clusters = clusters
 
-    def choose(self, position, normal, cell, w) -> Choice:
+    def choose(self, position, normal, cell, w, lit=None) -> Choice:
         parts = [
-            self._choose(position[:, part], normal[:, part], clusters, w[part])
+            self._choose(position[:, part], normal[:, part], clusters, w[part], _of(lit, clusters, part))
             for part, clusters in self._parts(cell)
         ]
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, lit=None) -> np.ndarray:
         result = np.empty(len(light), np.float32)
         if (np.diff(cell) < 0).any():
             order = np.argsort(cell, kind="stable")
             position, normal = take(position, order), take(normal, order)
-            result[order] = self.pdf(light.take(order), position, normal, cell.take(order))
+            lit = None if lit is None else take(lit, order)
+            result[order] = self.pdf(light.take(order), position, normal, cell.take(order), lit)
             return result
         for part, clusters in self._parts(cell):
             slot, share = clusters.slot.take(light[part]), clusters.share.take(light[part])
-            slots, own = self._slots(position[:, part], normal[:, part], clusters)
+            where = position[:, part], normal[:, part], clusters, _of(lit, clusters, part)
+            slots, own = self._slots(*where)
             whole, first = slots.chosen(slots.weight, slot), slots.chosen(own, slot)
             result[part] = np.where(share > 0, (whole - first) * share, first) / slots.upper[-1]
         return result
@@ -309,8 +328,13 @@ class CandidateLights:
             for part in _chunks(first, stop, len(clusters.number)):
                 yield part, clusters
 
-    def _slots(self, position: np.ndarray, normal: np.ndarray, c: Clusters) -> tuple[_Slots, np.ndarray]:
-        """The slots, and of each (slots, M) the candidate's own part of its weight."""
+    def _slots(
+        self, position: np.ndarray, normal: np.ndarray, c: Clusters, lit: np.ndarray | None
+    ) -> tuple[_Slots, np.ndarray]:
+        """The slots, and of each (slots, M) the candidate's own part of its weight.
+
+        lit : (C, M) bool, which candidates are linked to the points; None for all.
+        """
         count = len(c.candidates)
         own = np.zeros((len(c.number), position.shape[1]), np.float32)
         own[:count] = self._lights.irradiance(position, normal, c.candidates)
@@ -319,6 +343,8 @@ class CandidateLights:
         np.multiply(own[:count], c.inverse[:, None], out=others)
         np.minimum(others, c.most[:, None], out=others)
         others *= c.mass[:count, None]
+        if lit is not None:
+            own[:count] *= lit
         others += own[:count]
         weight[count:] = c.mass[count:, None]
         number = c.number.copy()
@@ -330,8 +356,8 @@ class CandidateLights:
         own[alone] = weight[alone]
         return slots, own
 
-    def _choose(self, position: np.ndarray, normal: np.ndarray, c: Clusters, w: np.ndarray) -> Choice:
-        slots, own = self._slots(position, normal, c)
+    def _choose(self, position, normal, c: Clusters, w: np.ndarray, lit) -> Choice:
+        slots, own = self._slots(position, normal, c, lit)
         slot, chance, w, at = slots.pick(w)
         # The candidate comes first in its slot.
         first = own.reshape(-1).take(at)
@@ -351,6 +377,11 @@ class CandidateLights:
             w[other] = (slot + x - c.table.take(place)) / share + 1
         np.clip(w, 0, _BELOW_ONE, out=w)
         return light, chance * part, w
+
+
+def _of(lit: np.ndarray | None, clusters: Clusters, part: slice) -> np.ndarray | None:
+    """Of (L, M) the candidates' rows at points ``part``."""
+    return None if lit is None else lit[:, part].take(clusters.candidates, axis=0)
 
 
 class _Slots:

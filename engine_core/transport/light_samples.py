@@ -14,6 +14,7 @@ from ..geometry.triangles import Triangles
 from ..geometry.vectors import dot, take
 from .emitters import Emitters
 from .light_choice import EveryLight, LightChoice, Lights
+from .links import Links
 from .surface_shading import SurfaceShader
 
 _ULPS = np.float32(8 * 2.0**-24)
@@ -52,12 +53,20 @@ class LightSamples:
 class SceneLights(Lights):
     """Every light of a scene, numbered group after group.
 
-    casts_shadow, sized : (L,) bool, and whether it has a size. any_mesh : whether one is a mesh.
+    sized : (L,) bool, whether it has a size. links : what they are linked to.
+    any_mesh : whether one is a mesh.
     only_points : whether none has a size.
     chooses_piece : whether one has several pieces, one of which must be chosen.
     """
 
-    def __init__(self, groups: Sequence[Emitters], shader: SurfaceShader, triangles: Triangles) -> None:
+    def __init__(
+        self,
+        groups: Sequence[Emitters],
+        shader: SurfaceShader,
+        triangles: Triangles,
+        links: Links | None = None,
+    ) -> None:
+        """links : of all lights, None where each is linked to everything in the scene."""
         super().__init__(groups)
         self._shader = shader
         self._triangles = triangles
@@ -67,7 +76,7 @@ class SceneLights(Lights):
         counts = [len(group) for group in groups]
         self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)
         self.sized = self._of_groups("size", np.float64) > 0
-        self.casts_shadow = self._of_groups("casts_shadow", bool)
+        self.links = links or Links([of for group in groups for of in group.linking], triangles)
         self._strength = np.concatenate(
             [np.zeros((3, 0), np.float32)] + [group.strength for group in groups], axis=1
         )
@@ -76,6 +85,9 @@ class SceneLights(Lights):
         self._tracer = self._varies = None
         if self._mesh is not None:
             self._varies = shader.varying_emission[triangles.material]
+            # What does not is passed: whether it blocks what is behind it, shadow rays tell.
+            in_all = self.links.cast_by_all(triangles)
+            self._blocks = np.broadcast_to(triangles.casts_shadow & in_all, len(triangles))
             self._any_varies = bool(self._varies[self._mesh.row].any())
             if not shader.lambertian:
                 corners = self._mesh.corners.reshape(-1, 3)
@@ -102,6 +114,12 @@ class SceneLights(Lights):
 
         cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a piece of it.
         """
+        samples = self._sample(points, cell, at, u, choice, split)
+        if not self.links.all_lit:
+            samples.weight *= self.links.lit(samples.light, points.triangle.take(samples.at))
+        return samples
+
+    def _sample(self, points, cell, at, u, choice, split) -> LightSamples:
         if len(self) == 1:
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
             # Only a mesh has a use for the third, its choice of a piece.
@@ -126,11 +144,12 @@ class SceneLights(Lights):
             w = u[-1].take(order)
         else:
             rows = at if at is None or split == 1 else at[::split]
-            position, normal = points.position, points.normal
+            position, normal, triangle = points.position, points.normal, points.triangle
             if rows is not None and (split == 1 or len(rows) < len(points)):
-                position, normal = take(position, rows), take(normal, rows)
+                position, normal, triangle = take(position, rows), take(normal, rows), triangle.take(rows)
                 cell = None if cell is None else cell.take(rows)
-            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split))
+            lit = None if self.links.all_lit else self.links.all_to(triangle)
+            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split), lit)
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._number), kind="stable")
             light, chance, w = light.take(order), chance.take(order), w.take(order)
@@ -273,6 +292,14 @@ class SceneLights(Lights):
             density[~self.sized.take(0 if light is None else light)] = np.inf
         return density
 
+    def chance(
+        self, points: SurfacePoints, samples: LightSamples, choice: LightChoice, cell: np.ndarray | None
+    ) -> np.ndarray:
+        """(K,) probability with which a choice takes the lights of samples; cell (K,) of their points."""
+        position, normal = take(points.position, samples.at), take(points.normal, samples.at)
+        lit = None if self.links.all_lit else self.links.all_to(points.triangle.take(samples.at))
+        return choice.pdf(samples.light, position, normal, cell, lit)
+
     # -- met ---------------------------------------------------------------------------------------
 
     def along(
@@ -314,7 +341,10 @@ class SceneLights(Lights):
         samples = LightSamples(
             lane, at.take(lane), light, to_light, None, None, self._at_infinity.take(light), is_mesh
         )
-        return samples, take(np.concatenate(radiances, axis=1), order), np.concatenate(densities).take(order)
+        radiance = take(np.concatenate(radiances, axis=1), order)
+        if not self.links.all_lit:
+            radiance *= self.links.lit(light, points.triangle.take(samples.at))
+        return samples, radiance, np.concatenate(densities).take(order)
 
     @staticmethod
     def _group_along(group: Emitters, position: np.ndarray, normal: np.ndarray, direction: np.ndarray):
@@ -338,7 +368,6 @@ class SceneLights(Lights):
         ray = np.arange(position.shape[1])
         travelled, step = np.zeros((2, len(ray)), np.float32)
         last = np.full(len(ray), -1)
-        casts = np.broadcast_to(self._triangles.casts_shadow, len(self._triangles))
         size = np.abs(position).max(axis=0)
         while ray.size:
             origins = np.ascontiguousarray((take(start, ray) + take(direction, ray) * travelled).T)
@@ -360,7 +389,7 @@ class SceneLights(Lights):
             offset = np.maximum(self._triangles.offset.take(triangle), np.float32(1e-30))
             offset = np.maximum(offset, _ULPS * np.maximum(size.take(ray), travelled))
             step = np.where(further < 4 * step, 2 * step, offset)
-            on = np.flatnonzero(~casts.take(triangle))
+            on = np.flatnonzero(~self._blocks.take(triangle))
             ray, travelled, step, last = (
                 ray.take(on),
                 (travelled + step).take(on),

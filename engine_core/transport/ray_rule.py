@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, take
 from ..integration.inner_rules import InnerRule, Nodes
 from .around_light import Tamed
@@ -256,7 +257,7 @@ class ScatteredAlongRay(Scattered):
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
         shape = np.broadcast_shapes(s.shape, (len(lanes),))
-        casts = lanes.casts_shadow
+        casts = lanes.blockers != NONE_CAST
         if not casts.any():
             return np.ones(shape, bool)
         self._count(SHADOW, int(np.prod(shape)))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..geometry.raytracer import FAR
-from ..geometry.surfaces import SHORTFALL
+from ..geometry.surfaces import NONE_CAST, SHORTFALL
 from ..geometry.vectors import dot, inverse_length, take
 from . import phase
 from .camera_hits import Pixels
@@ -321,14 +321,16 @@ class ScatteredLight(Scattered):
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of shadow rays arrive, and what part (3, J) surfaces leave of them, None for all."""
         scattering = self._scattering
-        casts = scattering.lights.casts_shadow.take(light)
+        blockers = scattering.lights.links.casting(light)
+        casts = np.broadcast_to(blockers != NONE_CAST, len(light))
         rows = np.arange(len(light)) if casts.all() else np.flatnonzero(casts)
+        blockers = blockers if np.ndim(blockers) == 0 else blockers.take(rows)
         origins, directions = (
             np.ascontiguousarray(take(x, rows).T, np.float32) for x in (position, to_light)
         )
         reach = np.where(at_infinity, FAR, np.where(is_mesh, SHORTFALL, 1)).astype(np.float32)
         reach = float(reach) if reach.ndim == 0 else reach.take(rows)
-        arrive, part, crossings = scattering.shadows.passing(origins, directions, reach)
+        arrive, part, crossings = scattering.shadows.passing(origins, directions, reach, blockers)
         self._count(SHADOW, len(rows))
         if scattering.surfaces.any_transparent:
             self._count(CROSSING, crossings)

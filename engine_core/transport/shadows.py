@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ..geometry.raytracer import FAR
-from ..geometry.surfaces import SurfacePoints, Surfaces
+from ..geometry.surfaces import ALL_CAST, SurfacePoints, Surfaces
 from ..geometry.vectors import take
 from ..shading.terms import LARGEST
 from .media import Media
@@ -40,17 +40,22 @@ class Shadows:
         self._most = crossings
 
     def arriving(
-        self, points: SurfacePoints, towards: Towards, cosine: np.ndarray
+        self,
+        points: SurfacePoints,
+        towards: Towards,
+        cosine: np.ndarray,
+        blockers: np.ndarray | int = ALL_CAST,
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
         """Which (J,) arrive at all, what part (3, J) of each (None: the whole), and how many further rays
         looked for transparent surfaces.
 
         cosine : (K,) of the directions to the points' shading normals.
+        blockers : (K,) or one, as of `Surfaces`.
         """
         origins, directions, reach = self._surfaces.shadow_rays(
             points, towards.at, towards.to_light, cosine, towards.at_infinity, towards.is_mesh
         )
-        arrive, part, rays = self.passing(origins, directions, reach)
+        arrive, part, rays = self.passing(origins, directions, reach, blockers)
         if self._media is None:
             return arrive, part, rays
         end = np.where(np.broadcast_to(towards.at_infinity, len(origins)).take(arrive), np.inf, 1)
@@ -61,24 +66,40 @@ class Shadows:
         return arrive.take(some), take(part, some), rays
 
     def passing(
-        self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        reach: float | np.ndarray,
+        blockers: np.ndarray | int = ALL_CAST,
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
         """The same of shadow rays (K, 3) of any origin, without fog; reach in lengths of the direction."""
-        arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach))
+        arrive = np.flatnonzero(~self._surfaces.occluded(origins, directions, reach, blockers))
         if not self._surfaces.any_transparent:
             return arrive, None, 0
         reach = np.broadcast_to(np.asarray(reach, np.float32), len(origins)).take(arrive)
-        part, rays = self._part(origins.take(arrive, axis=0), directions.take(arrive, axis=0), reach)
+        origins, directions = origins.take(arrive, axis=0), directions.take(arrive, axis=0)
+        if np.ndim(blockers) == 0:
+            part, rays = self._part(origins, directions, reach, blockers)
+        else:
+            blockers = blockers.take(arrive)
+            part, rays = np.ones((3, len(arrive)), np.float32), 0
+            for number in np.unique(blockers):
+                rows = np.flatnonzero(blockers == number)
+                of_light = (x.take(rows, axis=0) for x in (origins, directions, reach))
+                part[:, rows], count = self._part(*of_light, number)
+                rays += count
         some = np.flatnonzero(part.any(axis=0))
         return arrive.take(some), take(part, some), rays
 
-    def _part(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, int]:
+    def _part(
+        self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray, blockers: int
+    ) -> tuple[np.ndarray, int]:
         """(3, K) what transparent surfaces leave of the light along rays that nothing opaque blocks."""
         part = np.ones((3, len(origins)), np.float32)
         ray, rays = np.arange(len(origins)), 0
         for crossing in range(self._most + 1):
             rays += len(ray)
-            points, distance = self._surfaces.next_transparent(origins, directions, reach)
+            points, distance = self._surfaces.next_transparent(origins, directions, reach, blockers)
             if len(points) == 0:
                 break
             if points.lane is not None:
@@ -129,18 +150,20 @@ class Shadows:
             part, here = left, self._surfaces.beyond(points)
         return np.maximum(total, 0)
 
-    def met(self, origin: np.ndarray, direction: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    def met(
+        self, origin: np.ndarray, direction: np.ndarray, reach: float, blockers: int = ALL_CAST
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What one shadow ray (1, 3) meets: distances (J,), ascending, and what (3, J) is left behind each.
 
         Nothing is left at the end of a ray that is blocked.
         """
         far = np.float32(min(reach, FAR))
-        end, distances, parts = self._surfaces.blocked_at(origin, direction, far)[0], [], []
+        end, distances, parts = self._surfaces.blocked_at(origin, direction, far, blockers)[0], [], []
         if self._surfaces.any_transparent:
             left, start = np.ones((3, 1), np.float32), 0.0
             for _ in range(self._most):
                 limit = np.full(1, min(end, far) - start, np.float32)
-                points, distance = self._surfaces.next_transparent(origin, direction, limit)
+                points, distance = self._surfaces.next_transparent(origin, direction, limit, blockers)
                 if len(points) == 0:
                     break
                 start += float(distance[0])

@@ -77,6 +77,7 @@ class SingleScattering:
         bare &= not surfaces.any_transparent
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
+        reaches &= lights.links.in_fog
         small &= not surfaces.any_transparent
         self.sizeless, self.sized, self.small = (
             np.flatnonzero(some & reaches) for some in (bare, ~bare, small)

@@ -158,7 +158,7 @@ class AboutSmall(AboutPoints, ABC):
                 origin[..., i] += to_light[i]
                 np.negative(to_light[i], out=vector[..., i])
             reach = SHORT
-        return ~surfaces.occluded(origin.reshape(-1, 3), vector.reshape(-1, 3), reach).reshape(x.shape)
+        return self._visible(surfaces, origin, vector, reach)
 
 
 class AboutDisks(AboutSmall):

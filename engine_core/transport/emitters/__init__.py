@@ -101,7 +101,8 @@ def emitter_groups(
         groups.append(ImageWorldEmitter(world))
     pieces = emissive_pieces(materials, triangles, transmits)
     if pieces is not None:
-        of_light = triangles.material[pieces.row[pieces.first[:-1]]]
-        radiance = [materials[number].emission for number in of_light]
-        groups.append(MeshEmitters(np.maximum(radiance, 0), pieces))
+        of_light = pieces.row[pieces.first[:-1]]
+        radiance = [materials[number].emission for number in triangles.material[of_light]]
+        number, linking = triangles.linked(of_light)
+        groups.append(MeshEmitters(np.maximum(radiance, 0), pieces, [linking[k] for k in number]))
     return groups, messages

@@ -70,7 +70,7 @@ class AreaEmitters(Emitters):
             facing = -axes[:, 2] / np.linalg.norm(axes[:, 2])
             rows.append((edges, facing, area * frame.scale**2, tan_half, normalise, strength))
         size = np.array([row[2] for row in rows])
-        super().__init__(np.array([row[5] for row in rows]), size, [light.casts_shadow for light in lights])
+        super().__init__(np.array([row[5] for row in rows]), size, [light.links for light in lights])
         self._centre = frame.positions([light.light_to_world[:3, 3] for light in lights]).T.copy()
         self._edge_x, self._edge_y = (
             np.array([row[0][k] * frame.scale for row in rows], np.float32).T.copy() for k in range(2)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...geometry.vectors import length, take
+from ...scene import Linking
 from .bounds import Bounds
 
 Sample = tuple[np.ndarray, np.ndarray]
@@ -56,7 +57,7 @@ class Emitters:
     strength : (3, L) float32, radiance times size.
     radiance : (3, L) float32, inf-free; without meaning for a light without size.
     size : (L,) float64, 0 where a light has none.
-    casts_shadow : (L,) bool.
+    linking : of each.
     centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; None for lights at infinity.
     cone_axis, cone_cos : (3, L) and (L,) float64, round cones that hold what shines from points of a light;
         the cosine is at least 0, or -1 for a light that shines to all sides. None if all do.
@@ -77,10 +78,10 @@ class Emitters:
     is_flat = False
     is_background = False
 
-    def __init__(self, strength: np.ndarray, size: np.ndarray, casts_shadow: Sequence[bool]) -> None:
+    def __init__(self, strength: np.ndarray, size: np.ndarray, linking: Sequence[Linking]) -> None:
         """strength : (L, 3) float64. size : (L,) float64, 0 where a light has none."""
         self.strength = np.minimum(strength, _LARGEST).T.astype(np.float32)
-        self.casts_shadow = np.array(casts_shadow, bool)
+        self.linking = list(linking)
         self._brightness = (self.strength / 3).sum(axis=0)
         self.size = np.asarray(size, np.float64)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):

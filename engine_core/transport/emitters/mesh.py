@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...geometry.vectors import dot, take
+from ...scene import Linking
 from .base import Emitters, area_to_solid_angle, vectors_to
 from .mesh_pieces import Pieces
 from .patches import BACK, Facing, Patches, facing_of
@@ -31,8 +32,10 @@ class MeshEmitters(Emitters):
 
     is_mesh = True
 
-    def __init__(self, radiance: Sequence[np.ndarray], pieces: Pieces) -> None:
-        """radiance : (3,) of each light."""
+    def __init__(
+        self, radiance: Sequence[np.ndarray], pieces: Pieces, linking: Sequence[Linking] | None = None
+    ) -> None:
+        """radiance : (3,) of each light. linking : of each, None for lights that are linked to all."""
         corner, a, b = np.moveaxis(pieces.corners, 1, 0).copy()
         a -= corner
         b -= corner
@@ -48,7 +51,8 @@ class MeshEmitters(Emitters):
         self.light_of = np.repeat(np.arange(len(count)), count)
         area_of = 0.5 * double_area
         area = np.bincount(self.light_of, area_of, minlength=len(count))
-        super().__init__(np.asarray(radiance) * area[:, None], area, [True] * len(count))
+        linking = [Linking()] * len(count) if linking is None else linking
+        super().__init__(np.asarray(radiance) * area[:, None], area, linking)
         self._area, self._area_of = area.astype(np.float32), area_of.astype(np.float32)
         # How far off a triangle counts as near, from its first corner (surely) and from its middle.
         third = (a + b) / 3

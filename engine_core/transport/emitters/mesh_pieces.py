@@ -51,7 +51,7 @@ def emissive_pieces(
 ) -> Pieces | None:
     """The pieces of all triangles that emit; None if none does.
 
-    A light is of one material, and of pieces near each other along a Morton curve.
+    A light is of one material, linked in one way, and of pieces near each other along a Morton curve.
     transmits : (number of materials,) bool, which let light straight through; None for none.
     """
     emissive = np.array([(material.emission > 0).any() for material in materials])
@@ -70,12 +70,12 @@ def emissive_pieces(
     low, high = middle.min(axis=0), middle.max(axis=0)
     cell = ((middle - low) / np.maximum((high - low).max(), 1e-300) * 1023).astype(np.int64)
     code = sum(((cell[:, k] >> bit) & 1) << (3 * bit + k) for bit in range(10) for k in range(3))
-    material = triangles.material[row]
-    order = np.lexsort((code, material))
-    row, side, corners, weights, material = (x[order] for x in (row, side, corners, weights, material))
+    kind = triangles.material[row] + len(materials) * triangles.linked(row)[0]
+    order = np.lexsort((code, kind))
+    row, side, corners, weights, kind = (x[order] for x in (row, side, corners, weights, kind))
     size = 1 if alone else max(ALONE, -(-row.size // CLUSTERS))
-    of_material = np.flatnonzero(np.diff(material, prepend=-1))
-    place = np.arange(row.size) - np.repeat(of_material, np.diff(of_material, append=row.size))
+    of_kind = np.flatnonzero(np.diff(kind, prepend=-1))
+    place = np.arange(row.size) - np.repeat(of_kind, np.diff(of_kind, append=row.size))
     first = np.append(np.flatnonzero(place % size == 0), row.size)
     return Pieces(row.astype(np.int32), corners, weights, side, first)
 

@@ -72,7 +72,7 @@ class _Points(Emitters):
         for row, light in zip(strength, lights, strict=True):
             row /= 4 * np.pi if light.normalize else (1 / light.radius**2 if light.radius > 0 else np.pi)
         size = np.pi * (radius * frame.scale) ** 2
-        super().__init__(strength, size, [light.casts_shadow for light in lights])
+        super().__init__(strength, size, [light.links for light in lights])
         self._position = frame.positions([_position(light) for light in lights]).T.copy()
         self._radius = np.array([light.radius * frame.scale for light in lights], np.float32)
         self.centre, self.reach = self._position.astype(np.float64), self._radius.astype(np.float64)

@@ -28,7 +28,7 @@ class SunEmitters(Emitters):
         for row, light, solid_angle, angle in zip(strength, lights, size, half, strict=True):
             # Solid angle over pi sin^2, without the quotient of two that vanish.
             row *= 2 / (1 + np.cos(angle)) if light.normalize else solid_angle if angle > 0 else 1
-        super().__init__(strength, size, [light.casts_shadow for light in lights])
+        super().__init__(strength, size, [light.links for light in lights])
         self.axis = np.array([-light.direction for light in lights], np.float32).T.copy()
         self._one_minus_cos = (2 * np.sin(half / 2) ** 2).astype(np.float32)
         self.sine = np.sin(half).astype(np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...geometry.vectors import dot, length, take
 from ...geometry.warps import cosine_hemisphere, uniform_sphere
-from ...scene import World
+from ...scene import Linking, World
 from .base import Emitters, LightHits
 from .environment_map import LUMINANCE, EnvironmentMap
 
@@ -21,7 +21,7 @@ class WorldEmitter(Emitters):
     at_infinity = True
 
     def __init__(self, world: World) -> None:
-        super().__init__(world.radiance[None], np.ones(1), [True])
+        super().__init__(world.radiance[None], np.ones(1), [Linking()])
 
     def sample(self, which, position, normal, w, u):
         if normal is None:
@@ -60,7 +60,7 @@ class ImageWorldEmitter(Emitters):
     is_background = True
 
     def __init__(self, world: World) -> None:
-        super().__init__(np.ones((1, 3)), np.ones(1), [True])
+        super().__init__(np.ones((1, 3)), np.ones(1), [Linking()])
         self._map = EnvironmentMap(np.maximum(world.image, 0), world.rotation)
         self._brightness = np.full(1, self._map.mean.mean(), np.float32)
         self._visible = [0] if world.visible_to_camera else []

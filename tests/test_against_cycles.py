@@ -46,7 +46,7 @@ FEW = {
     ("sphere", "ball"),
     ("spot", "world"),
     ("world image", "camera inside"),
-    ("mesh", "overlapping"),
+    ("mesh", "ball"),
     ("glow", "overlapping"),
 }
 

@@ -186,7 +186,7 @@ def test_what_a_scene_lacks_is_never_entered():
 
 @pytest.mark.parametrize(
     ("size", "samples"),
-    [*itertools.product([(1, 1), (8, 8), (1, 90), (130, 3)], [1, 16]), ((1, 10_000), 1), ((10_000, 1), 1)],
+    [*itertools.product([(1, 1), (8, 8), (1, 90), (130, 3)], [1, 16]), ((1, 3000), 1), ((3000, 1), 1)],
 )
 def test_pictures_of_any_size_are_finite(size, samples):
     camera = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), *size, 0.8)
@@ -362,7 +362,7 @@ def test_narrow_beams_are_sampled_by_themselves(radius):
 def test_many_lights_in_fog_are_their_sum():
     """In the mean over seeds, where all of their peaks, and beams, are in the picture."""
     random = np.random.default_rng(3)
-    spots, points = (random.uniform((-1.5, -0.5, 1.2), (1.5, 1.5, 2.4), (n, 3)) for n in (12, 12))
+    spots, points = (random.uniform((-1.5, -0.5, 1.2), (1.5, 1.5, 2.4), (n, 3)) for n in (6, 6))
     lights = [PointLight(random.uniform(1, 20), position=p) for p in points]
     lights += [
         SpotLight(random.uniform(1, 20), light_to_world=place(p, random.uniform(-2, 2, 3)), angle=0.5)
@@ -372,7 +372,7 @@ def test_many_lights_in_fog_are_their_sum():
     def quarters(made, settings):
         return render(made, settings).volume.reshape(2, 16, 2, 24, 3).mean(axis=(1, 3, 4), dtype=np.float64)
 
-    alone = [[quarters(scene(one), Settings(16, seed=50 + s)) for one in lights] for s in range(3)]
+    alone = [[quarters(scene(one), Settings(4, seed=50 + s)) for one in lights] for s in range(3)]
     alone = np.sum(alone, axis=1)
     ours = np.array([quarters(scene(*lights), Settings(2, seed=s)) for s in range(12)])
     error = np.hypot(ours.std(axis=0, ddof=1) / 12**0.5, alone.std(axis=0, ddof=1) / 3**0.5)

@@ -125,12 +125,14 @@ def picture(
 )
 def test_the_mean_over_seeds_is_the_truth(rounds, tile, apart, monkeypatch):
     """apart : from where on tiles' pixels have nets of their own; none, or some of each picture."""
+    count = 120
     if rounds > 1:
+        count = 60
         monkeypatch.setattr(module, "MOST_POINTS", 8)
     monkeypatch.setattr(module, "TILE", tile)
     monkeypatch.setattr(module, "APART", apart)
     monkeypatch.setattr(module, "ALIKE", np.ones(1))
-    seeds = np.array([picture(seed, chooses=True).radiance for seed in range(120)], np.float64)
+    seeds = np.array([picture(seed, chooses=True).radiance for seed in range(count)], np.float64)
     np.testing.assert_allclose(seeds[..., 1], 2 * seeds[..., 0], rtol=1e-4, atol=1e-5)
     assert not seeds[..., 2].any()
     mean, truth = seeds[..., 0].mean(axis=0), Broken.truth()

@@ -32,6 +32,7 @@ from engine_core import (
     render,
     screen_picture,
 )
+from engine_core.scene import Linking
 from engine_core.settings import DIRECT_SAMPLING, DISTANCE_SAMPLING, INTEGRATORS
 from engine_core.shading.closures import Diffuse, Emission, Glossy, Mix, Translucent, Transparent
 
@@ -225,6 +226,26 @@ class Wild:
             **parts,
         )
 
+    def linking(self) -> Linking:
+        sets = [None, *(frozenset(s for s in range(3) if self.chance(0.6)) for _ in range(2))]
+        return Linking(self.pick(*sets), self.pick(*sets), self.chance(0.9))
+
+    def linked(self, scene: Scene) -> Scene:
+        """The same with light and shadow links."""
+
+        def sets(**names: int) -> dict[str, int]:
+            return {name: int(self.random.integers(most)) for name, most in names.items()}
+
+        return replace(
+            scene,
+            lights=[replace(light, linking=self.linking()) for light in scene.lights],
+            meshes=[
+                replace(mesh, linking=self.linking(), **sets(light_set=3, shadow_set=3))
+                for mesh in scene.meshes
+            ],
+            volumes=[replace(volume, **sets(light_set=self.pick(1, 2))) for volume in scene.volumes],
+        )
+
     def world(self, volumes: int) -> World:
         volume = int(self.random.integers(volumes)) if volumes and self.chance(0.4) else -1
         radiance = self.pick(0.0, 0.0, 0.1, self.colour(), 1e10)
@@ -268,7 +289,8 @@ def wild_scene(seed: int) -> tuple[Scene, Settings]:
         wild.world(len(volumes)),
         volumes=volumes,
     )
-    return scene, wild.settings(len(lights) > 3)
+    settings = wild.settings(len(lights) > 3)
+    return wild.linked(scene) if wild.chance(0.3) else scene, settings
 
 
 @pytest.fixture(autouse=True)

@@ -96,6 +96,16 @@ def test_a_laser_passes_what_does_not_block_it() -> None:
     np.testing.assert_allclose(passing[..., :3], free[..., :3], rtol=0.1, atol=1e-2 * free.max())
 
 
+def test_a_spot_behind_what_does_not_block_its_laser_is_as_smooth() -> None:
+    down = {"light_to_world": place((1, 0.2, 3), (0, 0.2, 0)), "radius": 0.15}
+    screen = box((-2, -1, 1), (2, 1, 1.1), visible_to_camera=False, shadow_set=3)
+    free = pictures(plates(Laser(1.0, **down), volumes=()), 6, samples=4)
+    through = Laser(1.0, linking=Linking(blockers=frozenset({0})), **down)
+    passing = pictures(plates(through, volumes=(), meshes=(screen,)), 6, samples=4)
+    np.testing.assert_allclose(passing.mean(), free.mean(), rtol=5e-3)
+    assert passing.std(axis=0).mean() < 2 * free.std(axis=0).mean() + 1e-6 * free.mean()
+
+
 LAMPS = {
     "bare": PointLight(20.0, position=(-1.5, 0, 1)),
     "ball": PointLight(20.0, position=(-1.5, 0, 1), radius=0.1),
@@ -166,6 +176,18 @@ def test_many_lights_linked_at_random(count: int, shiny: bool) -> None:
         mine, theirs = (x[(slice(None), *part)].mean(axis=(1, 2)) for x in (found, truth))
         error = np.sqrt(mine.var(axis=0, ddof=1) / SEEDS + theirs.var(axis=0, ddof=1) / SEEDS)
         assert (np.abs(mine.mean(axis=0) - theirs.mean(axis=0)) < 4 * error + 1e-5 * theirs.mean()).all()
+
+
+@pytest.mark.parametrize("count", (20, 40))
+def test_bright_lights_of_others_make_no_noise(count: int) -> None:
+    """Where a dim one alone is linked, it is what is sampled, however many there are."""
+    random = np.random.default_rng(0)
+    lights: list[Light] = [PointLight(0.2, position=(1, 0, 1), radius=0.05, linking=Linking(frozenset({1})))]
+    for position in random.uniform((-2, -1, 0.5), (2, 1, 1.5), (count, 3)):
+        bright = PointLight(20.0, position=position, radius=0.05, linking=Linking(frozenset({0})))
+        lights.append(bright)
+    found = pictures(plates(*lights, volumes=()), 6, samples=16)[:, :, 17:]
+    assert found.std(axis=0, ddof=1).mean() < 0.02 * found.mean()
 
 
 def test_emission_is_linked_mesh_by_mesh() -> None:

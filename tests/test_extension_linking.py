@@ -81,17 +81,21 @@ def test_what_is_included_alone_is_lit(cv: ModuleType, scene: Any) -> None:
     assert named(exported, other.name).linking.blockers is None
 
 
-def test_exclusion_wins_and_reaches_into_child_collections(cv: ModuleType, scene: Any) -> None:
+def test_child_collections_come_first_and_all_the_way_down(cv: ModuleType, scene: Any) -> None:
     import bpy
 
     lamp, empty = add_light(scene, "POINT"), add_light(scene, "AREA")
     child, grandchild = (bpy.data.collections.new(name) for name in ("Child", "Grandchild"))
     grandchild.objects.link(scene.objects["A"])
     child.children.link(grandchild)
-    linked(lamp, "receiver", include=(scene.objects["A"], scene.objects["B"]), exclude=(child,))
+    linked(lamp, "receiver", include=(scene.objects["B"],), exclude=(child,))
     linked(empty, "receiver")
     exported, _ = export(cv)
     assert [lights(exported, "Point", name) for name in ("A", "B", "Floor")] == [False, True, False]
+    # What is said of an object itself overrides that.
+    linked(lamp, "receiver", include=(scene.objects["A"],), exclude=(child,))
+    exported, _ = export(cv)
+    assert [lights(exported, "Point", name) for name in ("A", "B", "Floor")] == [True, False, False]
     assert all(lights(exported, "Area", name) for name in ("A", "B", "Floor"))
 
 
@@ -109,6 +113,24 @@ def test_instances_take_the_link_of_what_makes_them(cv: ModuleType, scene: Any) 
     exported, _ = export(cv)
     lit = [named(exported, "Point").linking.lights(m.light_set) for m in exported.meshes if m.name == "A"]
     assert sorted(lit) == [False, True]
+
+
+def test_lights_in_instanced_collections_are_linked(cv: ModuleType, scene: Any) -> None:
+    """Their objects are in no scene."""
+    import bpy
+
+    made = bpy.data.collections.new("Made")
+    for kind, name in (("POINT", "A"), ("SPOT", "B")):
+        lamp = add_light(scene, kind)
+        scene.collection.objects.unlink(lamp)
+        made.objects.link(lamp)
+        linked(lamp, "receiver", include=(scene.objects[name],))
+    empty = add(scene, "Empty", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", made
+    exported, messages = export(cv)
+    assert not messages
+    assert [lights(exported, "Point", name) for name in ("A", "B", "Floor")] == [True, False, False]
+    assert [lights(exported, "Spot", name) for name in ("A", "B", "Floor")] == [False, True, False]
 
 
 def test_lights_that_no_fog_scatters(cv: ModuleType, scene: Any) -> None:

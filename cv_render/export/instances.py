@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...engine_core import Mesh, RenderError
-from ...engine_core.scene import Linking
+from ...engine_core.scene import Light, Linking
 from .. import memory
 from .mesh import MeshData
 
@@ -19,6 +19,9 @@ CHUNK = 1 << 20
 
 TRACED_TRIANGLE_BYTES = 250
 """What a triangle takes beside the exported arrays: the ray tracer's copy and tree, the engine's tables."""
+
+TRACER_BYTES = 100
+"""What a triangle takes in each further ray tracer; each different group of blockers has one."""
 
 MANY_BODIES = 16
 """Instances that enclose a volume, each as a mesh of its own: more of them are joined where they can be."""
@@ -60,9 +63,12 @@ class Placed:
         # An index beyond the slots means the last one, as in Cycles.
         return self.slots[np.clip(self.mesh.slots, 0, len(self.slots) - 1)]
 
-    def bytes_needed(self) -> int:
+    def bytes_needed(self, tracers: int = 0) -> int:
+        """tracers : further ones, as `TRACER_BYTES` has it."""
         mesh, each = self.mesh, self.mesh.vertices.nbytes + self.mesh.triangles.nbytes
-        each += len(mesh.triangles) * (TRACED_TRIANGLE_BYTES + 4 * np.ndim(mesh.slots))
+        each += len(mesh.triangles) * (
+            TRACED_TRIANGLE_BYTES + TRACER_BYTES * tracers + 4 * np.ndim(mesh.slots)
+        )
         if mesh.normals is not None:
             each += mesh.normals.nbytes + 3 * mesh.triangles.nbytes
         # Twice: exported, and in the engine's tables. A placed attribute is at most 9 numbers wide.
@@ -121,9 +127,10 @@ class Placed:
         )
 
 
-def check_memory(groups: Sequence[Placed]) -> None:
+def check_memory(groups: Sequence[Placed], lights: Sequence[Light] = ()) -> None:
     """Refuse to start what would not end well; the error names the object that takes most."""
-    needed, available = sum(group.bytes_needed() for group in groups), memory.available()
+    tracers = len({light.linking.blockers for light in lights} - {None})
+    needed, available = sum(group.bytes_needed(tracers) for group in groups), memory.available()
     if needed <= available:
         return
     largest = max(groups, key=Placed.bytes_needed)

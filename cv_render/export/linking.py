@@ -19,7 +19,7 @@ class LightLinks:
     """
 
     def __init__(self, objects: Iterable[Any]) -> None:
-        """objects : all of a dependency graph."""
+        """objects : all of a dependency graph, those that only instances show among them."""
         linked = [obj.light_linking for obj in objects]
         self._receivers = Collections(filter(None, (links.receiver_collection for links in linked)))
         self._blockers = Collections(filter(None, (links.blocker_collection for links in linked)))
@@ -72,11 +72,10 @@ class Collections:
 
 
 def _states(collection: Any) -> Iterator[tuple[int, str]]:
-    """Objects of a collection, and whether they are included or excluded; what excludes comes last."""
+    """Objects of a collection, and whether they are included or excluded; what is said last counts."""
     found = []
     for child, link in zip(collection.children, collection.collection_children, strict=True):
         found += [(obj, link.light_linking.link_state) for obj in child.all_objects]
     for obj, link in zip(collection.objects, collection.collection_objects, strict=True):
         found.append((obj, link.light_linking.link_state))
-    found.sort(key=lambda pair: pair[1] == "EXCLUDE")
     return ((obj.as_pointer(), state) for obj, state in found)

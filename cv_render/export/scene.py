@@ -35,10 +35,12 @@ def export_scene(engine: Any, depsgraph: Any, messages: Messages) -> Scene:
     camera, origin = export_camera(engine, scene, messages)
     if scene.render.use_motion_blur:
         messages.add(named(scene), "motion blur is not supported yet")
-    objects = Objects(view_layer, origin, LightLinks(depsgraph.objects), messages)
+    objects = Objects(
+        view_layer, origin, LightLinks(id for id in depsgraph.ids if id.id_type == "OBJECT"), messages
+    )
     for instance in depsgraph.object_instances:
         objects.add(instance)
-    check_memory(objects.groups)
+    check_memory(objects.groups, objects.lights)
     world = export_world(view_layer.world_override or scene.world, messages, objects.volumes)
     return Scene(
         camera=camera,

@@ -366,7 +366,10 @@ def _in_sets(of_triangle: np.ndarray | int, sets: frozenset[int] | None) -> np.n
     """(T,) bool, whether triangles are of some sets, None for all; a bool if all are, or none."""
     if not sets:
         return sets is None
-    return of_triangle in sets if np.ndim(of_triangle) == 0 else np.isin(of_triangle, list(sets))
+    if np.ndim(of_triangle) == 0:
+        return of_triangle in sets
+    found = np.isin(of_triangle, list(sets))
+    return bool(found.all()) if found.all() or not found.any() else found
 
 
 def _tracer_of(triangles: Triangles, which: np.ndarray | bool) -> tuple[RayTracer, np.ndarray | None]:

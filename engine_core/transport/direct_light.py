@@ -43,7 +43,7 @@ from .light_choice import (
     pilot_points,
 )
 from .light_samples import LightSamples, SceneLights
-from .links import Links, blockers_of, linked_to_some_fogs
+from .links import Links, blockers_of, linked_emitters, linked_to_some_fogs
 from .media import Media
 from .shadows import Shadows
 from .surface_shading import Slot, SurfaceShader
@@ -136,14 +136,15 @@ class DirectLight:
         transmits = shader.transmits
         times.append(perf_counter())
         of_triangle = transmits[triangles.material] if transmits.any() else None
-        blockers = blockers_of(scene)
+        materials = shader.with_mean_emission(scene.materials)
+        emitters = linked_emitters(scene.meshes, materials)
+        blockers = blockers_of(scene.lights, emitters)
         self.surfaces = Surfaces(triangles, of_triangle, blockers)
         times.append(perf_counter())
-        materials = shader.with_mean_emission(scene.materials)
         groups, messages = emitter_groups(scene.lights, scene.world, materials, triangles, frame, transmits)
         self.messages += messages
         linking = [links for group in groups for links in group.linking]
-        self.messages += linked_to_some_fogs(scene)
+        self.messages += linked_to_some_fogs(scene.lights, emitters, scene.volumes)
         links = Links(linking, triangles, blockers, scene.volumes)
         self.lights = SceneLights(groups, shader, triangles, links)
         times.append(perf_counter())
@@ -160,7 +161,7 @@ class DirectLight:
         self.sees = self.stage.sees
         self.lambertian = shader.lambertian
         self.shadows = Shadows(self.surfaces, shader, crossings, self.media)
-        self._weighed = WeighedLights(self.lights)
+        self._weighed = WeighedLights(self.lights, self.lights.links.kinds)
         self.sampling = sampling
         self.samples_every = self.only_points and 1 < len(self.lights) <= EVERY_POINT
         self.screen_dimensions = self.stage.dimensions
@@ -192,7 +193,8 @@ class DirectLight:
             return EveryLight()
         if len(self.lights) <= WEIGHED:
             return self._weighed
-        return CandidateLights(self.lights, self._clusters(cell_x, cell_y, between))
+        kinds = self.lights.links.kinds.shape[1]
+        return CandidateLights(self.lights, self._clusters(cell_x, cell_y, between), kinds)
 
     def _clusters(
         self, cell_x: np.ndarray, cell_y: np.ndarray, between: Callable[[], None]
@@ -209,7 +211,12 @@ class DirectLight:
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
         normal.reshape(3, -1)[:, lanes] = points.normal
-        return clusters_of_cells(self.lights, position, normal, found, between)
+        links = self.lights.links
+        if links.all_lit:
+            return clusters_of_cells(self.lights, position, normal, found, between)
+        kind = np.zeros(found.shape, np.intp)
+        kind.reshape(-1)[lanes] = links.kind(points.triangle)
+        return clusters_of_cells(self.lights, position, normal, found, between, kind, links.kinds)
 
     # -- the two stages ----------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frame import Frame
-from ..geometry.surfaces import NONE_CAST
+from ..geometry.surfaces import ALL_CAST, NONE_CAST
 from ..geometry.warps import basis
 from ..scene import Laser, Scene
 from . import phase
@@ -97,7 +97,7 @@ class Lasers:
         lasers = [light for light in scene.lights if isinstance(light, Laser)]
         lasers = [light for light in lasers if (light.power > 0).any() and not (light.power < 0).any()]
         messages, beams, stretches = [], [], []
-        blockers = blockers_of(scene)
+        blockers = blockers_of(scene.lights)
         if len(lasers) > MOST:
             messages.append(f"There are {len(lasers)} lasers; all but the {MOST} most powerful are left out.")
             lasers.sort(key=lambda laser: -laser.power.sum())
@@ -141,7 +141,7 @@ def _traced(
         fog, inside = media.along(row, along, length), media.along(row, along, 0.0).state[0]
     # Beside its axis a beam may pass what blocks it there.
     whole = laser.length * frame.scale
-    met = _ends(origin, direction, radius, whole, shadows)
+    met = _ends(origin, direction, radius, whole, shadows, blockers)
     beam = Beam(origin, direction, whole, radius, power, inside, met, blockers, laser)
     if fog is None or not length > 0:
         return beam, []
@@ -177,7 +177,12 @@ def _traced(
 
 
 def _ends(
-    origin: np.ndarray, direction: np.ndarray, radius: float, length: float, shadows: Shadows
+    origin: np.ndarray,
+    direction: np.ndarray,
+    radius: float,
+    length: float,
+    shadows: Shadows,
+    blockers: int,
 ) -> list[np.ndarray]:
     """`Beam.ends`, from rays about its axis and along its rim."""
     side, other = (np.ravel(a) for a in basis(direction[:, None]))
@@ -185,9 +190,11 @@ def _ends(
     for ring, count in ((0.0, 1), (0.6, 8), (1.0, 32)):
         for angle in 2 * np.pi * np.arange(count) / count:
             start = origin + radius * ring * (np.cos(angle) * side + np.sin(angle) * other)
-            distances, _ = shadows.met(start.astype(np.float32)[None], along, length)
-            met.append(distances)
-            points.append(start[:, None] + distances * direction[:, None])
+            # It shines on what does not block it, too.
+            for which in {ALL_CAST, blockers}:
+                distances, _ = shadows.met(start.astype(np.float32)[None], along, length, which)
+                met.append(distances)
+                points.append(start[:, None] + distances * direction[:, None])
     met, points = np.concatenate(met), np.concatenate(points, axis=1)
     order = np.argsort(met)
     cuts = np.flatnonzero(np.diff(met[order]) > 4 * radius) + 1

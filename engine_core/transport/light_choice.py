@@ -14,7 +14,7 @@ lights, so that none is ever missed: the estimate is unbiased whatever the estim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -66,12 +66,12 @@ class LightChoice(Protocol):
         normal: np.ndarray,
         cell: np.ndarray | None,
         w: np.ndarray,
-        lit: np.ndarray | None = None,
+        kind: np.ndarray | None = None,
     ) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
         position, normal : (3, M). cell : (M,). w : (M, S) uniform in (0, 1).
-        lit : (L, M) bool, which lights are linked to the points; None for all.
+        kind : (M,) of the points, by what lights are linked to them (`Links.kinds`); None if they all are.
         """
         ...
 
@@ -81,7 +81,7 @@ class LightChoice(Protocol):
         position: np.ndarray,
         normal: np.ndarray,
         cell: np.ndarray | None,
-        lit: np.ndarray | None = None,
+        kind: np.ndarray | None = None,
     ) -> np.ndarray:
         """(N,) probabilities with which `choose` takes ``light`` (N,) at points (3, N) of ``cell`` (N,)."""
         ...
@@ -136,28 +136,31 @@ class EveryLight:
 class WeighedLights:
     """Every light that is linked to a point weighed there."""
 
-    def __init__(self, lights: Lights) -> None:
-        self._lights = lights
+    def __init__(self, lights: Lights, kinds: np.ndarray | None = None) -> None:
+        """kinds : (L, C) bool, which lights are linked to points of a kind."""
+        self._lights, self._kinds = lights, kinds
         self._number = np.ones(len(lights), np.float32)
 
-    def choose(self, position, normal, cell, w, lit=None) -> Choice:
+    def choose(self, position, normal, cell, w, kind=None) -> Choice:
         parts = []
         for part in _chunks(0, len(w), len(self._lights)):
-            slots = self._slots(position, normal, lit, part)
+            slots = self._slots(position, normal, kind, part)
             parts.append(slots.pick(w[part])[:3])
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell, lit=None) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, kind=None) -> np.ndarray:
         result = np.empty(len(light), np.float32)
         for part in _chunks(0, len(light), len(self._lights)):
-            slots = self._slots(position, normal, lit, part)
+            slots = self._slots(position, normal, kind, part)
             result[part] = slots.chosen(slots.weight, light[part]) / slots.upper[-1]
         return result
 
-    def _slots(self, position: np.ndarray, normal: np.ndarray, lit: np.ndarray | None, part: slice) -> _Slots:
+    def _slots(
+        self, position: np.ndarray, normal: np.ndarray, kind: np.ndarray | None, part: slice
+    ) -> _Slots:
         irradiance = self._lights.irradiance(position[:, part], normal[:, part])
-        if lit is not None:
-            irradiance *= lit[:, part]
+        if kind is not None:
+            irradiance *= self._kinds.take(kind[part], axis=1)
         return _Slots(irradiance, self._number)
 
 
@@ -175,6 +178,7 @@ class Clusters:
     share : (L,) float32, a light's part of what goes with its candidate; 0 for candidates.
     order : (L - C,) lights that are no candidates, by their slot; table : (L - C,) float64, slot + share
         of all up to this one. first : (slots + 1,) where each slot begins in these.
+    lit : (C,) bool, whether candidates are linked to the points that this is for; None if all are.
     """
 
     candidates: np.ndarray
@@ -187,6 +191,7 @@ class Clusters:
     order: np.ndarray
     table: np.ndarray
     first: np.ndarray
+    lit: np.ndarray | None = None
 
     @staticmethod
     def of(candidates: np.ndarray, slot: np.ndarray, mean: np.ndarray, largest: np.ndarray) -> Clusters:
@@ -290,32 +295,35 @@ def _candidates(irradiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray,
 class CandidateLights:
     """For each of K cells, candidates weighed at every point, and all other lights by these.
 
-    Of what is linked to a point only the candidates are known.
+    Where lights are linked to some points and not to others, each kind of points has its own.
     """
 
-    def __init__(self, lights: Lights, clusters: Sequence[Clusters]) -> None:
-        self._lights = lights
+    def __init__(self, lights: Lights, clusters: Sequence[Clusters], kinds: int = 1) -> None:
+        """clusters : cell by cell; of a cell, one for each of the ``kinds`` of points that there are."""
+        self._lights, self._kinds = lights, kinds
         self._clusters = clusters
 
-    def choose(self, position, normal, cell, w, lit=None) -> Choice:
+    def choose(self, position, normal, cell, w, kind=None) -> Choice:
+        if kind is not None:
+            cell = cell * self._kinds + kind
         parts = [
-            self._choose(position[:, part], normal[:, part], clusters, w[part], _of(lit, clusters, part))
+            self._choose(position[:, part], normal[:, part], clusters, w[part])
             for part, clusters in self._parts(cell)
         ]
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell, lit=None) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, kind=None) -> np.ndarray:
+        if kind is not None:
+            cell = cell * self._kinds + kind
         result = np.empty(len(light), np.float32)
         if (np.diff(cell) < 0).any():
             order = np.argsort(cell, kind="stable")
             position, normal = take(position, order), take(normal, order)
-            lit = None if lit is None else take(lit, order)
-            result[order] = self.pdf(light.take(order), position, normal, cell.take(order), lit)
+            result[order] = self.pdf(light.take(order), position, normal, cell.take(order))
             return result
         for part, clusters in self._parts(cell):
             slot, share = clusters.slot.take(light[part]), clusters.share.take(light[part])
-            where = position[:, part], normal[:, part], clusters, _of(lit, clusters, part)
-            slots, own = self._slots(*where)
+            slots, own = self._slots(position[:, part], normal[:, part], clusters)
             whole, first = slots.chosen(slots.weight, slot), slots.chosen(own, slot)
             result[part] = np.where(share > 0, (whole - first) * share, first) / slots.upper[-1]
         return result
@@ -328,13 +336,8 @@ class CandidateLights:
             for part in _chunks(first, stop, len(clusters.number)):
                 yield part, clusters
 
-    def _slots(
-        self, position: np.ndarray, normal: np.ndarray, c: Clusters, lit: np.ndarray | None
-    ) -> tuple[_Slots, np.ndarray]:
-        """The slots, and of each (slots, M) the candidate's own part of its weight.
-
-        lit : (C, M) bool, which candidates are linked to the points; None for all.
-        """
+    def _slots(self, position: np.ndarray, normal: np.ndarray, c: Clusters) -> tuple[_Slots, np.ndarray]:
+        """The slots, and of each (slots, M) the candidate's own part of its weight."""
         count = len(c.candidates)
         own = np.zeros((len(c.number), position.shape[1]), np.float32)
         own[:count] = self._lights.irradiance(position, normal, c.candidates)
@@ -343,8 +346,8 @@ class CandidateLights:
         np.multiply(own[:count], c.inverse[:, None], out=others)
         np.minimum(others, c.most[:, None], out=others)
         others *= c.mass[:count, None]
-        if lit is not None:
-            own[:count] *= lit
+        if c.lit is not None:
+            own[:count] *= c.lit[:, None]
         others += own[:count]
         weight[count:] = c.mass[count:, None]
         number = c.number.copy()
@@ -356,8 +359,8 @@ class CandidateLights:
         own[alone] = weight[alone]
         return slots, own
 
-    def _choose(self, position, normal, c: Clusters, w: np.ndarray, lit) -> Choice:
-        slots, own = self._slots(position, normal, c, lit)
+    def _choose(self, position: np.ndarray, normal: np.ndarray, c: Clusters, w: np.ndarray) -> Choice:
+        slots, own = self._slots(position, normal, c)
         slot, chance, w, at = slots.pick(w)
         # The candidate comes first in its slot.
         first = own.reshape(-1).take(at)
@@ -377,11 +380,6 @@ class CandidateLights:
             w[other] = (slot + x - c.table.take(place)) / share + 1
         np.clip(w, 0, _BELOW_ONE, out=w)
         return light, chance * part, w
-
-
-def _of(lit: np.ndarray | None, clusters: Clusters, part: slice) -> np.ndarray | None:
-    """Of (L, M) the candidates' rows at points ``part``."""
-    return None if lit is None else lit[:, part].take(clusters.candidates, axis=0)
 
 
 class _Slots:
@@ -455,13 +453,25 @@ def clusters_of_cells(
     normal: np.ndarray,
     found: np.ndarray,
     between: Callable[[], None] = lambda: None,
+    kind: np.ndarray | None = None,
+    kinds: np.ndarray | None = None,
 ) -> list[Clusters]:
     """The clusters of lights in K cells, from what pilots see there.
 
     position, normal : (3, K, P) float32, P pilots a cell. found : (K, P) bool, which of them hit.
     between : called now and then; may raise, to give up.
+    kind : (K, P) of pilots by what is linked to them, kinds : (L, C) as of `Links`: for each cell there are
+        clusters for each of the C kinds then; None if all lights are linked to all.
     """
-    return weighed_clusters(lights, *_with_missed(position, normal, found), between)
+    position, normal, weight = _with_missed(position, normal, found)
+    if kind is None:
+        return weighed_clusters(lights, position, normal, weight, between)
+    parts = []
+    for number, lit in enumerate(kinds.T):
+        own = weight.copy()
+        own[:, : kind.shape[1]] *= np.where(kind == number, 1, np.float32(_MISSED_WEIGHT))
+        parts.append(weighed_clusters(lights, position, normal, own, between, lit))
+    return [clusters for of_cell in zip(*parts, strict=True) for clusters in of_cell]
 
 
 def weighed_clusters(
@@ -470,8 +480,12 @@ def weighed_clusters(
     normal: np.ndarray,
     weight: np.ndarray,
     between: Callable[[], None] = lambda: None,
+    lit: np.ndarray | None = None,
 ) -> list[Clusters]:
-    """The clusters of lights in K cells, from pilots (3, K, P) of some weight (K, P) each."""
+    """The clusters of lights in K cells, from pilots (3, K, P) of some weight (K, P) each.
+
+    lit : (L,) bool, which lights are linked to the points that these are for; None if all are.
+    """
     cells, pilots = weight.shape
     step = max(1, 8 * _CHUNK // (len(lights) * pilots))
     result = []
@@ -482,8 +496,10 @@ def weighed_clusters(
         part = slice(start, start + step)
         where = (x[:, part].reshape(len(x), -1) for x in (position, normal))
         estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots)
+        if lit is not None:
+            estimate *= lit[:, None, None]
         result += _clusters(np.ascontiguousarray(estimate.swapaxes(0, 1)), weight[part])
-    return result
+    return result if lit is None else [replace(c, lit=lit.take(c.candidates)) for c in result]
 
 
 def _with_missed(

@@ -86,7 +86,7 @@ class SceneLights(Lights):
         if self._mesh is not None:
             self._varies = shader.varying_emission[triangles.material]
             # What does not is passed: whether it blocks what is behind it, shadow rays tell.
-            in_all = self.links.cast_by_all(triangles)
+            in_all = self.links.cast_by_all(triangles, self.first[-2])
             self._blocks = np.broadcast_to(triangles.casts_shadow & in_all, len(triangles))
             self._any_varies = bool(self._varies[self._mesh.row].any())
             if not shader.lambertian:
@@ -148,8 +148,8 @@ class SceneLights(Lights):
             if rows is not None and (split == 1 or len(rows) < len(points)):
                 position, normal, triangle = take(position, rows), take(normal, rows), triangle.take(rows)
                 cell = None if cell is None else cell.take(rows)
-            lit = None if self.links.all_lit else self.links.all_to(triangle)
-            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split), lit)
+            kind = None if self.links.all_lit else self.links.kind(triangle)
+            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split), kind)
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._number), kind="stable")
             light, chance, w = light.take(order), chance.take(order), w.take(order)
@@ -297,8 +297,8 @@ class SceneLights(Lights):
     ) -> np.ndarray:
         """(K,) probability with which a choice takes the lights of samples; cell (K,) of their points."""
         position, normal = take(points.position, samples.at), take(points.normal, samples.at)
-        lit = None if self.links.all_lit else self.links.all_to(points.triangle.take(samples.at))
-        return choice.pdf(samples.light, position, normal, cell, lit)
+        kind = None if self.links.all_lit else self.links.kind(points.triangle.take(samples.at))
+        return choice.pdf(samples.light, position, normal, cell, kind)
 
     # -- met ---------------------------------------------------------------------------------------
 

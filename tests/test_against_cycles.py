@@ -43,7 +43,6 @@ def test_converged_light_is_that_of_cycles(cv: ModuleType, case: Case) -> None:
 
 
 FEW = {
-    ("sphere", "ball"),
     ("spot", "world"),
     ("world image", "camera inside"),
     ("mesh", "ball"),

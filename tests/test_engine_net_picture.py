@@ -121,7 +121,15 @@ def picture(
 
 
 @pytest.mark.parametrize(
-    ("rounds", "tile", "apart"), [(1, 8, 2), (4, 8, 2), (1, 1, 2), (1, 2, 2), (1, 1, 0.15), (4, 1, 0.15)]
+    ("rounds", "tile", "apart"),
+    [
+        (1, 8, 2),
+        (4, 8, 2),
+        pytest.param(1, 1, 2, marks=pytest.mark.full),
+        pytest.param(1, 2, 2, marks=pytest.mark.full),
+        (1, 1, 0.15),
+        (4, 1, 0.15),
+    ],
 )
 def test_the_mean_over_seeds_is_the_truth(rounds, tile, apart, monkeypatch):
     """apart : from where on tiles' pixels have nets of their own; none, or some of each picture."""

@@ -29,7 +29,9 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", ["one light", "world", "mixed lights"])
-@pytest.mark.parametrize(("samples", "seeds"), [(1, SEEDS), (4, SEEDS), (16, SEEDS // 2)])
+@pytest.mark.parametrize(
+    ("samples", "seeds"), [(1, SEEDS), pytest.param(4, SEEDS, marks=pytest.mark.full), (16, SEEDS // 2)]
+)
 def test_mean_over_seeds_is_the_truth(name, samples, seeds):
     wanted, error = truth(name)
     estimates = blocks(pictures(UNBIASED[name], seeds, samples=samples, **CV))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -265,8 +265,7 @@ class Surfaces:
         if np.ndim(blockers) == 0:
             return self._opaque[blockers].occluded(origins, directions, reach)
         result = np.zeros(len(origins), bool)
-        for number in np.unique(blockers):
-            rows = np.flatnonzero(blockers == number)
+        for number, rows in by_number(blockers):
             some = reach if np.ndim(reach) == 0 else reach.take(rows)
             rays = origins.take(rows, axis=0), directions.take(rows, axis=0)
             result[rows] = self._opaque[number].occluded(*rays, some)
@@ -360,6 +359,12 @@ class Surfaces:
     @cached_property
     def any_holdout(self) -> bool:
         return bool(np.any(self.triangles.holdout))
+
+
+def by_number(blockers: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """The different ``blockers`` of (K,) rays, and which rays have each."""
+    for number in np.unique(blockers):
+        yield int(number), np.flatnonzero(blockers == number)
 
 
 def _in_sets(of_triangle: np.ndarray | int, sets: frozenset[int] | None) -> np.ndarray | bool:

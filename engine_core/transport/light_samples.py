@@ -144,11 +144,11 @@ class SceneLights(Lights):
             w = u[-1].take(order)
         else:
             rows = at if at is None or split == 1 else at[::split]
-            position, normal, triangle = points.position, points.normal, points.triangle
+            position, normal = points.position, points.normal
+            kind = None if self.links.all_lit else self.links.kind(points.triangle)
             if rows is not None and (split == 1 or len(rows) < len(points)):
-                position, normal, triangle = take(position, rows), take(normal, rows), triangle.take(rows)
-                cell = None if cell is None else cell.take(rows)
-            kind = None if self.links.all_lit else self.links.kind(triangle)
+                position, normal = take(position, rows), take(normal, rows)
+                cell, kind = (x if x is None else x.take(rows) for x in (cell, kind))
             light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split), kind)
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._number), kind="stable")

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ..geometry.raytracer import FAR
-from ..geometry.surfaces import ALL_CAST, SurfacePoints, Surfaces
+from ..geometry.surfaces import ALL_CAST, SurfacePoints, Surfaces, by_number
 from ..geometry.vectors import take
 from ..shading.terms import LARGEST
 from .media import Media
@@ -83,8 +83,7 @@ class Shadows:
         else:
             blockers = blockers.take(arrive)
             part, rays = np.ones((3, len(arrive)), np.float32), 0
-            for number in np.unique(blockers):
-                rows = np.flatnonzero(blockers == number)
+            for number, rows in by_number(blockers):
                 of_light = (x.take(rows, axis=0) for x in (origins, directions, reach))
                 part[:, rows], count = self._part(*of_light, number)
                 rays += count

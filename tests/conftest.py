@@ -28,14 +28,26 @@ bpy = dev.open_blender(Path({archive!r}), Path({resources!r}))
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="run the long tests as well")
+    parser.addoption("--part", default="0/1", help="NUMBER/OF: which part of engine_core's own tests")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--full"):
-        return
-    long = [item for item in items if item.get_closest_marker("full")]
-    config.hook.pytest_deselected(items=long)
-    items[:] = [item for item in items if item not in long]
+    chosen = items
+    if not config.getoption("--full"):
+        chosen = [item for item in items if not item.get_closest_marker("full")]
+    number, of = map(int, config.getoption("--part").split("/"))
+    kept = set(part([item.path.name for item in chosen], number, of))
+    chosen = [item for index, item in enumerate(chosen) if index in kept]
+    left = set(chosen)
+    config.hook.pytest_deselected(items=[item for item in items if item not in left])
+    items[:] = chosen
+
+
+def part(files: list[str], number: int, of: int) -> list[int]:
+    """Which tests, by the files that they are in, are of a part: of the engine's every ``of``-th, else all."""
+    own = [index for index, name in enumerate(files) if name.startswith("test_engine_")]
+    left_out = set(own) - set(own[number::of])
+    return [index for index in range(len(files)) if index not in left_out]
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import conftest
 import pytest
 
 import dev
@@ -170,6 +171,13 @@ def test_render_that_cannot_be_is_one_line(tmp_path: Path, run_script):
     (line,) = result.stderr.splitlines()
     assert line.startswith("dev.py: no_camera.blend: ") and "camera" in line.lower()
     assert not (tmp_path / "no_camera.png").exists()
+
+
+def test_each_test_of_the_engine_is_in_one_part_and_all_others_in_every():
+    files = ["test_dev.py", *["test_engine_fog.py"] * 5, "test_extension_world.py", "test_engine_trial.py"]
+    parts = [conftest.part(files, number, 2) for number in range(2)]
+    assert parts == [[0, 1, 3, 5, 6], [0, 2, 4, 6, 7]]
+    assert conftest.part(files, 0, 1) == list(range(len(files)))
 
 
 def test_requirements_follow_included_groups():

@@ -408,7 +408,7 @@ def test(arguments: argparse.Namespace) -> int:
     code, running = 0, []
     with ExitStack() as stack:
         for number, (version, python) in enumerate(found.items()):
-            # `engine_core` knows no Blender: of its own tests, most of the time, each Python runs every other.
+            # `engine_core` knows no Blender, and its own tests take most of the time.
             part = [f"--part={number}/{len(found)}"] if everything and not arguments.full else []
             told = stack.enter_context(tempfile.TemporaryFile("w+")) if running else None
             ask = subprocess.DEVNULL if running else None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import compress, count
 from pathlib import Path
 from types import ModuleType
 
@@ -32,22 +33,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    chosen = items
-    if not config.getoption("--full"):
-        chosen = [item for item in items if not item.get_closest_marker("full")]
     number, of = map(int, config.getoption("--part").split("/"))
-    kept = set(part([item.path.name for item in chosen], number, of))
-    chosen = [item for index, item in enumerate(chosen) if index in kept]
-    left = set(chosen)
-    config.hook.pytest_deselected(items=[item for item in items if item not in left])
+    full = config.getoption("--full")
+    chosen = [item for item in items if full or not item.get_closest_marker("full")]
+    chosen = list(compress(chosen, in_part([item.path.name for item in chosen], number, of)))
+    config.hook.pytest_deselected(items=list(set(items).difference(chosen)))
     items[:] = chosen
 
 
-def part(files: list[str], number: int, of: int) -> list[int]:
-    """Which tests, by the files that they are in, are of a part: of the engine's every ``of``-th, else all."""
-    own = [index for index, name in enumerate(files) if name.startswith("test_engine_")]
-    left_out = set(own) - set(own[number::of])
-    return [index for index in range(len(files)) if index not in left_out]
+def in_part(files: list[str], number: int, of: int) -> list[bool]:
+    """Whether tests, by their files, are of a part: each ``of``-th of the engine's, and all else."""
+    turn = count()
+    return [not name.startswith("test_engine_") or next(turn) % of == number for name in files]
 
 
 @pytest.fixture(scope="session")

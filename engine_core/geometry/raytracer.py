@@ -19,6 +19,9 @@ else:
 
 FAR = np.float32(1e37)
 
+MANY = 1 << 20
+"""Triangles above which no tuples are made of them: that would take more memory than the tree."""
+
 
 @dataclass
 class ClosestHits:
@@ -48,7 +51,7 @@ class RayTracer:
             )
         self._scene = EmbreeScene(robust=True) if len(indices) else None
         if self._scene is not None:
-            self._mesh = TriangleMesh(self._scene, vertices, indices)
+            self._mesh = TriangleMesh(self._scene, *_quickly_read(vertices, indices))
             # The first ray builds the tree; later calls come from several threads.
             self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), FAR)
 
@@ -90,3 +93,13 @@ class RayTracer:
         if self._scene is None:
             return np.zeros(len(origins), bool)
         return self._scene.run(origins, directions, dists=reach, query="OCCLUDED") >= 0
+
+
+def _quickly_read(vertices: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same, as embreex reads it sooner: it takes ``indices[i][k]`` as Python does, and of a row of an
+    array that makes an array; of single precision a number is made that is none of Python's own.
+    """
+    if len(indices) > MANY:
+        return vertices, indices
+    rows = np.ascontiguousarray(indices, np.int32).view("i4, i4, i4").ravel()
+    return vertices.astype(np.float64), rows.astype(object)

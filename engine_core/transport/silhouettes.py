@@ -84,13 +84,12 @@ def silhouettes(
         map_(trace, range(low[1], high[1], ROWS))
     bent = map_(lambda row: _bent(inverse[:, row : row + ROWS + 3]), range(0, y1 - y0, ROWS))
     found = np.concatenate(bent, axis=1)
-    fresh = found
+    fresh = np.stack(np.nonzero(found & ~_surrounded(found)))
     for _ in range(ROUNDS):
-        before = found.copy()
-        for axis in range(2):
-            _follow(found, fresh, inverse, axis, region[:2], look)
-        fresh = found & ~before
-        if not fresh.any():
+        along = _follow(found, fresh, inverse, 0, region[:2], look)
+        across = _follow(found, np.concatenate([fresh, along], axis=1), inverse, 1, region[:2], look)
+        fresh = np.concatenate([along, across], axis=1)
+        if not fresh.size:
             break
     return found, None if met is None else met[1:-1, 1:-1]
 
@@ -103,7 +102,8 @@ def _about_all(
     """
     if not len(vertices):
         return low, low
-    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    # By columns, as reductions over rows of three are slow.
+    ends = np.array([[column.min(), column.max()] for column in vertices.T]).T
     box = np.stack([ends[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)], axis=1)
     image, depth = rays.image_of(box)
     if not (depth > 0).all() or not np.isfinite(image).all():
@@ -153,6 +153,16 @@ def of_bodies(met: np.ndarray) -> np.ndarray:
     return np.logical_or.reduce([first != other for other in others])
 
 
+def _surrounded(found: np.ndarray) -> np.ndarray:
+    """(W, H) bool, pixels whose four neighbours, as far as there are any, are all ``found`` (W, H)."""
+    whole = np.ones_like(found)
+    for axis in range(2):
+        inner, known = (np.moveaxis(a, axis, 0) for a in (whole, found))
+        inner[1:] &= known[:-1]
+        inner[:-1] &= known[1:]
+    return whole
+
+
 def _follow(
     found: np.ndarray,
     fresh: np.ndarray,
@@ -160,27 +170,32 @@ def _follow(
     axis: int,
     corner: tuple[int, int],
     look: Callable,
-) -> None:
-    """Mark pixels that an outline enters, from ``fresh`` ones next to them along an axis, and leaves again.
+) -> np.ndarray:
+    """Mark pixels that an outline enters from ``fresh`` (2, N) ones next to them along an axis, and leaves
+    again through the same side; returns them (2, M).
 
     inverse : 1 / distance at corners, from the one before the first on. look : the same between them.
     """
-    halves = slice(None, -1), slice(1, None)
-    low, high = (np.moveaxis(found, axis, 0)[part] for part in halves)
-    from_low, from_high = (np.moveaxis(fresh, axis, 0)[part] for part in halves)
-    at = np.stack(np.nonzero((from_low & ~high) | (from_high & ~low)))
-    at[0] += 1  # the pixel on the far side
-    x, y = at[::-1] if axis else at
-    along = (1, 0) if axis else (0, 1)
-    first, last = inverse[x + 1, y + 1], inverse[x + 1 + along[0], y + 1 + along[1]]
+    others, sides = [], []
+    for step in (-1, 1):
+        other = fresh.copy()
+        other[axis] += step
+        inside = np.flatnonzero((other[axis] >= 0) & (other[axis] < found.shape[axis]))
+        inside = inside[~found[tuple(other[:, inside])]]
+        others.append(other[:, inside])
+        # Of both pixels the later one begins where they meet.
+        sides.append(np.maximum(fresh, other)[:, inside])
+    x, y = np.concatenate(sides, axis=1)
+    first, last = inverse[x + 1, y + 1], inverse[x + 1 + axis, y + 2 - axis]
     place = np.zeros((2, len(x), len(BETWEEN)), np.float32)
     place[1 - axis] = BETWEEN
     there = look((x + corner[0]).astype(np.int32), (y + corner[1]).astype(np.int32), place)[0]
     straight = first[:, None] + BETWEEN * (last - first)[:, None]
     most = np.maximum(np.maximum(first, last)[:, None], there)
     crossed = (np.abs(there - straight) > BEND * most).any(axis=1)
-    at = at[:, crossed]
-    low[at[0] - 1, at[1]] = high[at[0] - 1, at[1]] = True
+    entered = np.concatenate(others, axis=1)[:, crossed]
+    found[tuple(entered)] = True
+    return entered
 
 
 class Silhouettes:

@@ -65,9 +65,6 @@ OUTLINE_OF_SHADOW = 0.06
 First samples do not tell: of what is rare there, which makes dark specks, they see nothing.
 """
 
-MOST_SQUARED = 1e18
-"""Radiance whose square single precision holds."""
-
 OUTLINE_WEIGHT = 2.0
 """Of their deviation, from four samples on: across an edge the error of a net falls faster than by the root
 of its points, of one or two it does not."""
@@ -372,11 +369,14 @@ class ScreenPicture:
         due, chance = due.reshape(height, width), chance.reshape(height, width)
 
         def draw(rows: slice) -> None:
-            here, have = chance[rows], self._count[rows]
             # What may have been missed is left to chance no more than what is known.
-            y, x, missed = self._missed(served, rows)
-            missed *= budget / max(in_all, 1e-300)
-            here[y, x] = np.maximum(here[y, x], np.fmin(missed, 1))
+            wider = slice(max(0, rows.start - NEAR), rows.stop + NEAR)
+            seen = np.where(served[wider], _summed(self._mean[wider]), _summed(self._residual[wider]))
+            missed = _missed(~served[wider], seen)[rows.start - wider.start :][: rows.stop - rows.start]
+            missed *= np.float32(budget / max(in_all, 1e-300))
+            np.fmin(missed, 1, out=missed)
+            here, have = chance[rows], self._count[rows]
+            np.maximum(here, missed, out=here)
             here[(have > 0) | ~served[rows]] = 1
             taken = drawn(here.ravel(), settings.seed + 7, rows.start).reshape(here.shape)
             due[rows] = np.maximum(np.minimum(due[rows], MOST) * taken, have)
@@ -417,13 +417,13 @@ class ScreenPicture:
 
         def expect(rows: slice) -> None:
             # What a node says of its own noise is known: few samples would miss what is rare in it.
-            own = np.square(inside.take(region[rows], mode="wrap"))
+            own = np.square(inside.take(region[rows], mode="wrap"), dtype=np.float64)
             if crossed.any():
                 wider = slice(max(0, rows.start - NEAR), rows.stop + NEAR)
                 of_shadow = _within(crossed.take(region[wider], mode="wrap"), NEAR)
-                y, x = np.nonzero(of_shadow[rows.start - wider.start :][: rows.stop - rows.start])
-                lit = np.clip(self._mean[rows.start + y, x].sum(axis=1), 0, MOST_SQUARED)
-                own[y, x] += np.square(OUTLINE_OF_SHADOW * lit)
+                lit = np.maximum(_summed(self._mean[rows]), 0)
+                lit *= of_shadow[rows.start - wider.start :][: len(lit)]
+                own += np.square(OUTLINE_OF_SHADOW * lit, dtype=np.float64)
             deviation[rows] = learned.deviation(said[rows], rows, own)
             deviation[rows] *= self._approximate[rows]
 
@@ -471,32 +471,6 @@ class ScreenPicture:
         f = values_at(integrand, stage, len(x) * n, None, u.reshape(len(u), len(x) * n))[:CHANNELS]
         f = f.reshape(CHANNELS, len(x), n).astype(np.float64).transpose(1, 2, 0)
         return f - self._variate(x, y, screen) if served else f
-
-    def _missed(self, served: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels (N,) of ``rows``, their rows from its first on and columns, with outlines within `NEAR`, of
-        which a bit may not have been found; and (N,) how far f may be off h there: part of the most that is
-        seen around, half as much with each pixel.
-
-        served : (H, W) bool, pixels of no outline.
-        """
-        reach = NEAR - 1
-        wider = slice(max(0, rows.start - NEAR - reach), rows.stop + NEAR + reach)
-        outlines, first = ~served[wider], rows.start - wider.start
-        near = _within(outlines, NEAR)
-        there = np.flatnonzero(_within(near, reach))
-        at = there + wider.start * served.shape[1]
-        # One more around, in which nothing is seen.
-        seen = np.zeros(np.add(outlines.shape, 2 * reach), np.float32)
-        of_each = (a.reshape(-1, CHANNELS)[at].sum(axis=1) for a in (self._mean, self._residual))
-        inner = seen[reach:-reach, reach:-reach]
-        inner[np.unravel_index(there, inner.shape)] = np.where(served.reshape(-1)[at], *of_each)
-        y, x = np.nonzero((near & ~outlines)[first : first + rows.stop - rows.start])
-        part, most = np.full(len(y), 0.5**NEAR), np.zeros(len(y), np.float32)
-        for distance in range(1, NEAR):
-            part[_within(outlines, distance)[y + first, x]] *= 2
-        for dy, dx in product(range(2 * reach + 1), repeat=2):
-            np.maximum(most, seen[y + (first + dy), x + dx], out=most)
-        return y, x, part * most
 
     def _is_served(self, y: np.ndarray, x: np.ndarray) -> bool:
         """Whether pixels (B,), all of them or none, have an h."""
@@ -625,6 +599,22 @@ def _finite(radiance: np.ndarray) -> np.ndarray:
 def _summed(a: np.ndarray) -> np.ndarray:
     """(H, W) sums over the channels of a (H, W, 3)."""
     return a[..., 0] + a[..., 1] + a[..., 2]
+
+
+def _missed(outlines: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """(H, W) how far f may be off h beside outlines (H, W), where a bit of them was not found.
+
+    Part of the most that is seen around, half as much with each pixel. bright : (H, W) radiance.
+    """
+    reach = NEAR - 1
+    for axis in range(2):
+        padded = np.pad(bright, [(reach, reach) if i == axis else (0, 0) for i in range(2)])
+        windows = [padded.take(np.arange(k, k + bright.shape[axis]), axis=axis) for k in range(2 * reach + 1)]
+        bright = np.maximum.reduce(windows)
+    part = np.zeros(outlines.shape, np.float32)
+    for distance in range(NEAR, 0, -1):
+        part[_within(outlines, distance)] = 0.5**distance
+    return part * bright
 
 
 def _within(a: np.ndarray, distance: int) -> np.ndarray:

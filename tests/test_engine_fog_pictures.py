@@ -499,3 +499,13 @@ def test_small_bodies_of_fog_make_no_specks():
     films = [render(clouds(camera, 0.3, *LIT["point"]), Settings(1, seed=seed)) for seed in range(3)]
     pictures = np.array([film.volume for film in films], np.float64)
     assert np.sqrt(pictures.var(axis=0, ddof=1).mean()) < 0.05 * pictures.mean()
+
+
+@pytest.mark.parametrize("times", [2.0**60, 2.0**80, 2.0**100])
+def test_fog_of_any_brightness_is_sampled_alike(times):
+    """Squares of what is so bright are more than single precision holds."""
+    films = [render(scene(PointLight(300.0 * by, position=OUTSIDE)), Settings(1)) for by in (1.0, times)]
+    usual, bright = (film.layers[1] for film in films)
+    assert np.array_equal(usual.sample_count, bright.sample_count)
+    least = 1e-3 * usual.radiance.mean()
+    assert np.allclose(bright.radiance / times, usual.radiance, rtol=1e-3, atol=least)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import box, floor, lit_patch, place, studio
+from scenes import box, floor, lit_patch, place, sphere, studio
 
 import engine_core
 from engine_core import (
@@ -28,6 +28,8 @@ from engine_core import (
     World,
     render,
 )
+from engine_core.geometry import raytracer
+from engine_core.geometry.raytracer import RayTracer
 
 CORNERS = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
@@ -237,6 +239,23 @@ def test_visible_light_is_seen_between_the_clipping_planes(kind):
     assert seen(clip_start=1.0, clip_end=20.0) == pytest.approx(RADIANCE[kind], rel=1e-5)
     assert seen(clip_end=5.0) == 0
     assert seen(clip_start=15.0) == 0
+
+
+@pytest.mark.parametrize("many", [0, 1 << 20])
+def test_ray_tracer_takes_indices_however_they_lie(many, monkeypatch):
+    """As rows of an array, and as the tuples that embreex reads sooner."""
+    monkeypatch.setattr(raytracer, "MANY", many)
+    mesh = sphere((0, 0, 0), 1.0)
+    vertices, indices = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles, np.int32)
+    origins = 3 * vertices[indices].mean(axis=1)
+    for form in (
+        indices,
+        np.asfortranarray(indices),
+        np.repeat(indices, 2, axis=0)[::2],
+        indices.astype(int),
+    ):
+        found = RayTracer(vertices, form).closest_hit(origins, -origins)
+        assert np.array_equal(found.triangle, np.arange(len(indices)))
 
 
 def test_missing_ray_tracer_is_one_clear_error():

@@ -51,7 +51,7 @@ class RayTracer:
             )
         self._scene = EmbreeScene(robust=True) if len(indices) else None
         if self._scene is not None:
-            self._mesh = TriangleMesh(self._scene, *_quickly_read(vertices, indices))
+            self._mesh = TriangleMesh(self._scene, vertices, _rows(indices))
             # The first ray builds the tree; later calls come from several threads.
             self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), FAR)
 
@@ -95,11 +95,10 @@ class RayTracer:
         return self._scene.run(origins, directions, dists=reach, query="OCCLUDED") >= 0
 
 
-def _quickly_read(vertices: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same, as embreex reads it sooner: it takes ``indices[i][k]`` as Python does, and of a row of an
-    array that makes an array; of single precision a number is made that is none of Python's own.
+def _rows(indices: np.ndarray) -> np.ndarray:
+    """(T,) tuples of indices (T, 3), if they are not `MANY`: embreex takes ``indices[i][k]`` one by one, and
+    of each row of an array that would make an array.
     """
     if len(indices) > MANY:
-        return vertices, indices
-    rows = np.ascontiguousarray(indices, np.int32).view("i4, i4, i4").ravel()
-    return vertices.astype(np.float64), rows.astype(object)
+        return indices
+    return np.ascontiguousarray(indices, np.int32).view("i4, i4, i4").ravel().astype(object)

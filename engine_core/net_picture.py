@@ -29,7 +29,7 @@ from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
 from .integration.standard_error import sums_around
 from .parts import OverNet, Region, cell_of
-from .points_of_tiles import BATCH, enough_points, points_of_tiles, roughness_of_tiles
+from .points_of_tiles import BATCH, enough_points, noise_of_points, points_of_tiles, roughness_of_tiles
 from .settings import Settings
 from .transport.camera_hits import Pixels
 
@@ -89,8 +89,11 @@ MOST_POINTS = 512
 class NetPicture:
     """One layer of a picture, or its polynomials alone.
 
-    told : what was done, for people. seconds, regions, nodes : as in `ScreenPicture`.
+    told : what was done, for people. seconds, regions, nodes : as in `ScreenPicture`. noise : error
+        to be expected of a pixel's channel, on average, once it is built.
     """
+
+    noise = 0.0
 
     def __init__(
         self, by: OverNet, settings: Settings, region: Region, layer: Layer, check: Callable[[], None]
@@ -205,7 +208,9 @@ class NetPicture:
         )
         if noise and self._by.fewest:
             self._take(enough_points(rough, noise, self._by.fewest, self._by.points))
-        return points_of_tiles(rough, self._points)
+        counts = points_of_tiles(rough, self._points)
+        self.noise = noise_of_points(rough, counts) / self._rounds**0.5
+        return counts
 
     def _tiles_apart(self, map_: Map) -> np.ndarray:
         """(rows, columns) bool of tiles whose pixels have nets of their own. By a net that is no other's:

@@ -126,6 +126,15 @@ class PlainPicture:
         self._counting = Lock()
         self.seen: np.ndarray | None = None
 
+    def take_more(self, times: int) -> None:
+        """So many times the samples."""
+        self.samples *= times
+
+    @property
+    def rays(self) -> int:
+        """To be traced in all, about."""
+        return self.samples * (1 + self._split) * self._film.depth.size
+
     def begin(self) -> None:
         """Before the first samples."""
         if self._quadrature:

@@ -95,6 +95,14 @@ def enough_points(rough: np.ndarray, noise: float, fewest: int, most: int) -> in
     return 1 << int(np.ceil(np.log2(np.clip(least, fewest, most))))
 
 
+def noise_of_points(rough: np.ndarray, points: np.ndarray) -> float:
+    """Error to be expected of a pixel's channel, on average, by ``points`` (rows, columns) of each tile.
+    rough : of `roughness_of_tiles`.
+    """
+    # Channels are summed in that.
+    return float(np.sqrt(ERROR / 9 * rough / points**1.5).mean())
+
+
 def points_of_tiles(rough: np.ndarray, mean: int) -> np.ndarray:
     """(rows, columns) int, powers of two: points of each tile, about ``mean`` of these. rough : of
     `roughness_of_tiles`.

@@ -255,6 +255,18 @@ class ControlVariatePicture:
         for group in self._points:
             group.prepare(int(self._due.max()))
 
+    def take_more(self, times: int) -> None:
+        """So many times the samples, a power of two; before any pass over them."""
+        self._due = np.minimum(self._due * times, MOST)
+        self.passes += times.bit_length() - 1
+        for group in self._points:
+            group.prepare(int(self._due.max()))
+
+    @property
+    def rays(self) -> int:
+        """To be traced in all, about."""
+        return 2 * int(self._due.sum())
+
     def __len__(self) -> int:
         """How many tiles there are to refine."""
         return len(self._variate)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
@@ -45,6 +46,10 @@ Built = tuple[Refined | NetPicture | SeenPicture, float]
 
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
+
+BESIDE_NETS, SHARE_BESIDE_NETS = 2.0, 0.5
+"""Surfaces have twice their samples as long as their noise is so many times that of nets beside them, and
+their rays are no more than this part of those of fog and lasers."""
 
 DEPTH_ROWS, ROWS = 16, 64
 """Of the picture, whose depth is looked for at once, and whose brightness."""
@@ -148,6 +153,8 @@ class _Render:
         if not ended:
             parts, ended = self._build_parts(surfaces)
         ended = self._refine_parts(parts, surfaces, ended)
+        if not ended:
+            self._share_out(parts, surfaces)
         if surfaces is None:
             return ended
         begin = time.perf_counter()
@@ -271,6 +278,21 @@ class _Render:
             self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
             self._counts.update(part.counts())
         return ended
+
+    def _share_out(self, parts: list[Built], surfaces: ControlVariatePicture | None) -> None:
+        """Give surfaces more samples where they cost little beside what nets took, and are most of the
+        noise.
+        """
+        settings, sampled = self._settings, surfaces or self._plain
+        noise = surfaces.noise if surfaces else self._plain.noise() if self._sampled_once else None
+        nets = [picture.noise for picture, _ in parts if isinstance(picture, NetPicture)]
+        if not (noise and nets) or settings.integrator != "control_variates" or settings.noise_threshold:
+            return
+        rays, others, times = sampled.rays, sum(self._counts.values()), 1
+        while noise > BESIDE_NETS * math.hypot(*nets) and rays * times <= SHARE_BESIDE_NETS * others:
+            noise, times = noise / 2**0.75, 2 * times
+        if times > 1:
+            sampled.take_more(times)
 
     def _brightness(self) -> tuple[np.ndarray, float]:
         """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""

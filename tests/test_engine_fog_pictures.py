@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +37,9 @@ from engine_core.shading.closures import Emission, Mix, Transparent
 from engine_core.transport.around_light import Block
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
+
+# A function has its name, too.
+picture = sys.modules["engine_core.render"]
 
 CAMERA = Camera.look_at((0.2, -6, 1.2), (0, 0, 0.7), 48, 32, 0.8, clip_start=0.1)
 FOG = Volume(scattering=0.12, absorption=0.02, anisotropy=0.3)
@@ -509,3 +513,35 @@ def test_fog_of_any_brightness_is_sampled_alike(times):
     assert np.array_equal(usual.sample_count, bright.sample_count)
     least = 1e-3 * usual.radiance.mean()
     assert np.allclose(bright.radiance / times, usual.radiance, rtol=1e-3, atol=least)
+
+
+BESIDE = {
+    "by polynomials": LIT["ball"],
+    "by samples": tuple(PointLight(60.0, position=(x, 1.0, 3.5), radius=0.3) for x in np.linspace(-3, 3, 9)),
+}
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_surfaces_have_more_samples_beside_fog_that_costs_more(name, monkeypatch):
+    """They change nothing but how exact surfaces are; none are taken where a noise threshold stops them."""
+    made, settings = scene(*BESIDE[name], reflectance=0.5), Settings(8)
+
+    def surfaces(settings):
+        return render(made, settings).layers[0]
+
+    def many(least, share):
+        monkeypatch.setattr(picture, "BESIDE_NETS", least)
+        monkeypatch.setattr(picture, "SHARE_BESIDE_NETS", share)
+        return [surfaces(replace(settings, seed=seed)) for seed in range(8)]
+
+    few, more = many(np.inf, 1.0), many(0.01, 10.0)
+    samples = [np.mean([layer.sample_count for layer in layers]) for layers in (few, more)]
+    assert 1.9 * samples[0] < samples[1] < 33 * samples[0]
+    assert surfaces(replace(settings, noise_threshold=1e-9)).sample_count.max() <= few[0].sample_count.max()
+    few, more = (
+        np.array([layer.radiance[..., :3] for layer in layers], np.float64) for layers in (few, more)
+    )
+    assert more.var(axis=0).mean() < 0.6 * few.var(axis=0).mean()
+    means = [pictures.mean(axis=(1, 2, 3)) for pictures in (few, more)]
+    error = np.hypot(*(mean.std(ddof=1) / 8**0.5 for mean in means))
+    assert abs(means[1].mean() - means[0].mean()) < 4 * error

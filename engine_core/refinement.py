@@ -161,7 +161,7 @@ class ControlVariatePicture:
         # Read alone, and of one number where nothing is seen.
         self._first = self._first_error = np.broadcast_to(np.float32(0), (CHANNELS, *self._bins))
         if self._direct_light.sees:
-            eye = DirectLightOverTile(self._direct_light, None, self._check)
+            eye = DirectLightOverTile(self._direct_light, None, self._check, reflects=False)
             eye.counts = self.integrand.counts
             (x, y), (width, height) = self._corner, self._bins
             region = x, y, x + width, y + height

@@ -387,7 +387,7 @@ class _Render:
             return None
         if not integrand.stage.images_of_lights((x0, y0, x1 - x0, y1 - y0)).any():
             return None
-        eye = DirectLightOverTile(integrand, None, self._workers.check)
+        eye = DirectLightOverTile(integrand, None, self._workers.check, reflects=False)
 
         def build(map_: Map, enough: Callable[[], bool]) -> np.ndarray:
             return directly_seen(eye, integrand.stage, (x0, y0, x1, y1), self._settings, map_)

@@ -86,6 +86,10 @@ SPECK = 0.2
 LEAST_OF_BUDGET = 1 / 10
 """How much of what it may spend a picture does, though surfaces deviate more."""
 
+AS_SURFACES = 4.0
+"""Samples that are taken, of as many as would do as much for the noise as surfaces' do: those take ten times as
+long, with their polynomials."""
+
 CALM = 0.5
 """Of the samples that are taken in any case, how many low specks may ask for and no more nodes be wanted."""
 
@@ -351,7 +355,7 @@ class ScreenPicture:
         budget /= max(mean_cost, 1.0)
         if of_surfaces:
             # Variance falls as the square of that: beyond this a sample on surfaces is worth more.
-            as_there = (of_served + of_alone) / (of_surfaces * max(mean_cost, 1.0) ** 0.5)
+            as_there = AS_SURFACES * (of_served + of_alone) / (of_surfaces * max(mean_cost, 1.0) ** 0.5)
             budget = min(budget, max(as_there, LEAST_OF_BUDGET * budget))
         lit = DARK * bright > np.finfo(np.float32).tiny
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -331,6 +332,18 @@ def test_energy_table_is_the_albedo_of_ggx(node: int, cosine_node: int):
     wanted = _albedo(_facets(GGX, _towards(cosine), roughness**2, roughness**2), 1024)[0]
     got = energy.reflected(np.float32([roughness]), np.float32([cosine]))
     assert got == pytest.approx(wanted, abs=0.0015)
+
+
+@pytest.mark.parametrize("constant", list(itertools.product([False, True], repeat=3)))
+def test_what_is_the_same_everywhere_is_looked_up_alike(constant: tuple[bool, ...]):
+    random = np.random.default_rng(3)
+    given = [np.float32(x) for x in ([0.37], random.random(500), [1.6])]
+    roughness, cosine, ior = (x[0] if c else np.resize(x, 500) for x, c in zip(given, constant, strict=True))
+    if constant[1]:
+        given[1] = given[1][:1]
+    got = energy.fresnel_share(roughness, cosine, ior)
+    assert np.shape(got) == (() if all(constant) else (500,))
+    np.testing.assert_allclose(got, energy.fresnel_share(*(np.resize(x, 500) for x in given)), atol=3e-7)
 
 
 def test_mean_energy_is_the_tables_mean():

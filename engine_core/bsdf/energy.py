@@ -37,12 +37,21 @@ def fresnel_share(roughness: np.ndarray, cosine: np.ndarray, ior: np.ndarray) ->
 
 def _interpolated(table: np.ndarray, *place: np.ndarray) -> np.ndarray:
     """Multilinear, at coordinates in [0, 1], one for each of the table's axes."""
-    flat, index, parts = table.reshape(-1), np.intp(0), []
-    for size, x in zip(table.shape, place, strict=True):
-        x = np.clip(x, 0, 1) * np.float32(size - 1)
+    index, parts = np.intp(0), []
+    # From the last, so that those before keep their numbers.
+    for axis in reversed(range(table.ndim)):
+        size = table.shape[axis]
+        x = np.clip(place[axis], 0, 1) * np.float32(size - 1)
         low = np.minimum(x.astype(np.intp), size - 2)
-        parts.append(x - low.astype(np.float32))
-        index = index * size + low
+        part = x - low.astype(np.float32)
+        if np.ndim(x) == 0:
+            # What is the same everywhere is looked up but once.
+            near, far = table.take(low, axis), table.take(low + 1, axis)
+            table = near + part * (far - near)
+        else:
+            index = index + low * int(np.prod(table.shape[axis + 1 :]))
+            parts.insert(0, part)
+    flat = table.reshape(-1)
     strides = [int(np.prod(table.shape[axis + 1 :])) for axis in range(table.ndim)]
 
     def corner(axis: int, offset: int) -> np.ndarray:

@@ -139,8 +139,11 @@ class CameraStage:
         self.sees = glows or self._lights_seen
         self.sees_elsewhere = glows or any(group.centre is None and group.any_visible for group in emitters)
 
-    def hit(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
-        """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
+    def hit(self, pixels: Pixels, u: np.ndarray, reflects: bool = True) -> CameraHits:
+        """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens.
+
+        reflects : whether it is asked what surfaces reflect, which costs more than all else.
+        """
         origins, directions = self.rays.rays(pixels.x, pixels.y, u)
         points, distance = self._surfaces.first_hit(origins, directions, self.rays.reach)
         values = np.zeros((self.channels, len(origins)), np.float32)
@@ -152,7 +155,8 @@ class CameraStage:
         if self._shader.lambertian:
             hits = self._lambertian(values, points, depth, origins, directions)
         else:
-            hits = self._shaded(values, points, depth, origins, directions)
+            wants_lobes = reflects and self._wants_lobes
+            hits = self._shaded(values, points, depth, origins, directions, wants_lobes)
         hits.depth += np.float32(self.rays.clip_start)
         hits.depth *= np.float32(self._unscale)
         return hits
@@ -255,6 +259,7 @@ class CameraStage:
         depth: np.ndarray,
         origins: np.ndarray,
         directions: np.ndarray,
+        wants_lobes: bool,
     ) -> CameraHits:
         """Hits of surfaces of all kinds: one layer behind another, as long as light passes straight on."""
         n = values.shape[1]
@@ -293,7 +298,7 @@ class CameraStage:
             opaque = np.ones(len(ray), np.float32)
             held = self._held_out(points)
             behind = []
-            for rows, terms in self._shader.terms(points, viewer, self._wants_lobes):
+            for rows, terms in self._shader.terms(points, viewer, wants_lobes):
                 rows = np.arange(len(ray)) if rows is None else rows
                 weight = _at(arriving, rows)
                 if held is not None and held.any():

@@ -220,9 +220,9 @@ class DirectLight:
 
     # -- the two stages ----------------------------------------------------------------------------
 
-    def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
-        """Camera rays through points (2, B, S) of pixels' unit squares; (4, B, S) with those of a lens."""
-        hits = self.stage.hit(pixels, u)
+    def first(self, pixels: Pixels, u: np.ndarray, reflects: bool = True) -> CameraHits:
+        """As `CameraStage.hit`."""
+        hits = self.stage.hit(pixels, u, reflects)
         if len(self.lights) > WEIGHED:
             rows = np.repeat(pixels.cell, u.shape[2])
             hits.cell = rows if hits.points.lane is None else rows.take(hits.points.lane)
@@ -467,7 +467,7 @@ class DirectLightOverTile:
     """The integrand with one tile's light choice, and what its evaluation cost.
 
     check : called before every batch; may raise, to give up.
-    seen : whether radiance is that of what is seen by itself, too, or only what is reflected.
+    seen, reflects : whether radiance is that of what is seen by itself, and of what is reflected.
     counts : so far, rays by kind and what was not finite.
     """
 
@@ -479,10 +479,11 @@ class DirectLightOverTile:
         choice: LightChoice | EveryLight | None,
         check: Callable[[], None] = lambda: None,
         seen: bool = True,
+        reflects: bool = True,
     ) -> None:
         self._integrand = integrand
         self._choice = choice
-        self._seen = seen
+        self._seen, self._reflects = seen, reflects
         self._check = check
         self.rest_dimensions = 2 if isinstance(choice, EveryLight) else integrand.rest_dimensions
         self._counting = Lock()
@@ -490,7 +491,7 @@ class DirectLightOverTile:
 
     def first(self, pixels: Pixels, u: np.ndarray) -> CameraHits:
         self._check()
-        hits = self._integrand.first(pixels, _inset(u))
+        hits = self._integrand.first(pixels, _inset(u), self._reflects)
         with self._counting:
             self.counts[CAMERA] += u[0].size
             self.counts[CROSSING] += hits.crossings

@@ -87,8 +87,8 @@ LEAST_OF_BUDGET = 1 / 10
 """How much of what it may spend a picture does, though surfaces deviate more."""
 
 AS_SURFACES = 4.0
-"""Samples that are taken, of as many as would do as much for the noise as surfaces' do: those take ten times as
-long, with their polynomials."""
+"""Samples that are taken, of as many as would do as much for the noise as surfaces' do: those take ten times
+as long, with their polynomials."""
 
 CALM = 0.5
 """Of the samples that are taken in any case, how many low specks may ask for and no more nodes be wanted."""

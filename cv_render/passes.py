@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..engine_core import Film
+from ..engine_core.image.nonnegative import raise_negative
 from .versions import volume_pass_name
 
 COMBINED = ("Combined", 4, "RGBA", "COLOR")
@@ -71,7 +72,10 @@ def write(
                 if render_pass.name == COMBINED[0]:
                     # Noise about nothing may be below it, which nodes for compositing take badly. New memory
                     # is dear, so in place if that harms no sample to come.
-                    pixels = np.maximum(pixels, 0, out=pixels if done else None)
+                    if done:
+                        raise_negative(pixels)
+                    else:
+                        pixels = np.maximum(pixels, 0)
                 render_pass.rect.foreach_set(pixels.ravel())
     finally:
         engine.end_result(result)

@@ -225,9 +225,7 @@ class _Render:
         if not self._parts_are_built:
             return built, ended
         # How many points of a net are worth it depends on what is shown beside.
-        noise = None if surfaces is None else surfaces.noise
-        if self._sampled_once:
-            noise = self._plain.noise()
+        noise = self._noise(surfaces)
         for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
             begin, by = time.perf_counter(), part.by
             while by is not None and not ended:
@@ -279,12 +277,18 @@ class _Render:
             self._counts.update(part.counts())
         return ended
 
+    def _noise(self, surfaces: ControlVariatePicture | None) -> float | None:
+        """Error to be expected of surfaces, of a pixel's channel, on average; None if that is not known."""
+        if self._sampled_once:
+            return self._plain.noise()
+        return None if surfaces is None else surfaces.noise
+
     def _share_out(self, parts: list[Built], surfaces: ControlVariatePicture | None) -> None:
         """Give surfaces more samples where they cost little beside what nets took, and are most of the
         noise.
         """
-        settings, sampled = self._settings, surfaces or self._plain
-        noise = surfaces.noise if surfaces else self._plain.noise() if self._sampled_once else None
+        settings, sampled = self._settings, self._plain if surfaces is None else surfaces
+        noise = self._noise(surfaces)
         nets = [picture.noise for picture, _ in parts if isinstance(picture, NetPicture)]
         if not (noise and nets) or settings.integrator != "control_variates" or settings.noise_threshold:
             return

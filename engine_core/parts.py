@@ -42,7 +42,7 @@ from .transport.ray_rule import (
 from .transport.scattered_light import ScatteredLight
 from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
-from .transport.single_scattering import SingleScattering
+from .transport.single_scattering import EVERY, SingleScattering
 
 Region = tuple[int, int, int, int]
 
@@ -374,9 +374,13 @@ def _of_fog(
 
         by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=net)
         parts.append(Part("fog lit by small lights", VOLUME, plain, 1, by))
-    if (others := np.setdiff1d(rest, small)).size:
-        by = by_points(others)
-        parts.append(Part("fog lit by lights", VOLUME, by.integrand, 1, by))
+    others = np.setdiff1d(rest, small)
+    apart = np.intersect1d(others, scattering.of_mesh) if by_net and len(others) > EVERY else others[:0]
+    # A point that goes to a lamp in one pixel, and to one of many triangles in the next, is followed badly.
+    for name, some in (("lights", np.setdiff1d(others, apart)), ("glowing meshes", apart)):
+        if some.size:
+            by = by_points(some)
+            parts.append(Part(f"fog lit by {name}", VOLUME, by.integrand, 1, by))
     return parts
 
 

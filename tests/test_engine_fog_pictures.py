@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import assert_picture_is_sound, box, clouds, floor, place
+from scenes import assert_picture_is_sound, box, clouds, floor, place, sphere
 
 from benchmarks.scenes import core
 from engine_core import (
@@ -245,6 +245,35 @@ def test_lights_of_which_some_are_chosen_light_fog(integrator):
         for some in (lights, lights[:1])
     )
     assert every > 6 * one > 0
+
+
+def test_lamps_and_glowing_meshes_light_fog_apart(monkeypatch):
+    """A lamp is followed from pixel to pixel, as no point goes to one of many triangles instead."""
+    made = scene(*LIT["area"])
+    ball = sphere((-1.2, 0.3, 1.4), 0.3, materials=2)
+    glow = Material(surface=Emission((8.0, 2.0, 1.0)))
+    made = replace(made, meshes=(*made.meshes, ball), materials=(*made.materials, glow))
+
+    def pictures(seeds, settings):
+        films = [render(made, replace(settings, seed=seed)) for seed in seeds]
+        return np.array([film.volume for film in films], np.float64), films[0].statistics
+
+    def quarters(volumes):
+        return volumes.reshape(-1, 2, 16, 2, 24, 3).mean(axis=(2, 4, 5))
+
+    ours, told = pictures(range(8), Settings(1))
+    assert {"fog lit by lights", "fog lit by glowing meshes"} <= set(told)
+    plain, told = pictures(range(900, 903), Settings(64, integrator="sobol"))
+    assert "fog lit by glowing meshes" not in told
+    error = np.hypot(*(quarters(a).std(axis=0, ddof=1) / len(a) ** 0.5 for a in (ours, plain)))
+    difference = quarters(ours).mean(axis=0) - quarters(plain).mean(axis=0)
+    assert (np.abs(difference) < 4.5 * error + 1e-3 * plain.mean()).all()
+
+    monkeypatch.setattr(parts, "EVERY", 10**6)
+    together, told = pictures(range(8), Settings(1))
+    assert "fog lit by glowing meshes" not in told
+    truth = plain.mean(axis=0)
+    assert np.square(ours - truth).mean() < 0.7 * np.square(together - truth).mean()
 
 
 def test_black_fog_is_known_to_be_black_and_costs_little():

@@ -39,5 +39,5 @@ def test_fog_has_fewer_points_where_plain_samples_of_surfaces_hide_its_noise():
     black = replace(made, materials=[Material(0.0), Material(0.0), made.materials[2]])
     told = [render(one, Settings(1)).statistics for one in (made, black)]
     assert "many triangles" in told[0]["control variate"]
-    points = [int(one["fog lit by lights"].split()[1]) for one in told]
+    points = [int(one["fog lit by glowing meshes"].split()[1]) for one in told]
     assert points[0] < points[1] == 16

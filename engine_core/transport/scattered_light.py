@@ -80,7 +80,8 @@ class ScatteredLight(Scattered):
         self.guide: Guide | None = None
         scene = scattering.lights
         self._number = None if len(scene) == 1 else self._lights
-        self.rest_dimensions = 4 if choice is not None or scene.chooses_piece else 3
+        pieces = scene.chooses_piece and np.isin(lights, scattering.of_mesh).any()
+        self.rest_dimensions = 4 if choice is not None or pieces else 3
 
     def first(self, pixels: Pixels, u: np.ndarray) -> FogRays:
         rays = super().first(pixels, u)

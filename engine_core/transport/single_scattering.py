@@ -65,12 +65,13 @@ class SingleScattering:
         self._shader, self._crossings = shader, settings.transparent_bounces
         self.shadows = Shadows(surfaces, shader, settings.transparent_bounces)
         self.screen_dimensions = rays.dimensions
-        bare, small = np.zeros((2, len(lights)), bool)
+        bare, small, of_mesh = np.zeros((3, len(lights)), bool)
         self.sine = np.zeros(len(lights))
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             if isinstance(group, PointEmitters | SunEmitters):
                 bare[start:stop] = group.size == 0
             small[start:stop] = isinstance(group, DiskEmitters | SphereEmitters)
+            of_mesh[start:stop] = group.is_mesh
             if isinstance(group, SunEmitters):
                 small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
         # Whole rays know but light and dark: where shadows are coloured, points are sampled.
@@ -79,8 +80,8 @@ class SingleScattering:
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
         reaches &= lights.links.in_fog
         small &= not surfaces.any_transparent
-        self.sizeless, self.sized, self.small = (
-            np.flatnonzero(some & reaches) for some in (bare, ~bare, small)
+        self.sizeless, self.sized, self.small, self.of_mesh = (
+            np.flatnonzero(some & reaches) for some in (bare, ~bare, small, of_mesh)
         )
         self.cones = AirLights(lights)
         # Of each light's middle, inside which fogs it is.

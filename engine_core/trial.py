@@ -31,7 +31,7 @@ TRIED_AT = 0.25
 DOUBTFUL, DOUBTFUL_OF_ONE = 0.01, 0.03
 """Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
 smooth lights leave .0003 to .005 then, sun through blinds .02 to .03, thin occluders .06 to .3. And in a
-picture of one sample a pixel, whose soft shadows may be tried, too."""
+picture of one sample a pixel, whose few nodes leave more of all."""
 
 OF_ALL, PIXELS, FEWEST = 1 / 64, 2048, 32
 """Of all samples, for a round of the trial, at most; pixels, at most, and so many that fewer tell nothing."""

@@ -447,12 +447,10 @@ def test_fog_behind_a_pane_is_seen_through_it(shadow):
     )
     scattering = fog(lights, [THIN], 0, [pane], materials=materials, clip_end=4.0)
     wanted = before + colour ** (2 if shadow else 1) * (everything - before)
-    assert len(scattering.sizeless) == (not shadow)
-    if not shadow:
-        integrand = ScatteredAlongRay(scattering)
-        rays = rays_of(integrand)
-        assert integrand.counts["transparent crossings"] == 60
-        assert integrand.along(rays, None)[0].sum(axis=1) == pytest.approx(wanted, rel=1e-5)
+    integrand = ScatteredAlongRay(scattering)
+    rays = rays_of(integrand)
+    assert integrand.counts["transparent crossings"] == 60
+    assert integrand.along(rays, None)[0].sum(axis=1) == pytest.approx(wanted, rel=1e-3 if shadow else 1e-5)
     integrand = ScatteredLight(scattering, np.arange(1))
     rays = rays_of(integrand)
     u = np.random.default_rng(5).random((3, len(rays), 800))

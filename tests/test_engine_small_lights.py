@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import weakref
 from functools import cache
 
 import numpy as np
 import pytest
-from scenes import assert_picture_is_sound, box, floor
+from scenes import assert_picture_is_sound, box, floor, place
 from test_engine_fog import LIGHT, OCCLUDER, THIN, bounds, fog, rays_of, spot_at
 from test_engine_fog_pictures import CAMERA, OUTSIDE, downwards, scene
 
 from engine_core import (
     Light,
     Material,
+    Mesh,
     PointLight,
     Scene,
     Settings,
@@ -26,6 +28,9 @@ from engine_core import (
     render,
     screen_picture,
 )
+from engine_core.shading.closures import Mix, Transparent
+from engine_core.shading.coordinates import BACK
+from engine_core.shading.values import OfSurface
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.ray_rule import PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
@@ -111,6 +116,59 @@ def test_whole_rays_are_unbiased(name):
         assert abs(ours.sum() - single.sum()) < 4 * np.sqrt(np.square(both).sum())
         # A few rays see what is rare, of which variance tells too little.
         assert np.quantile(np.abs(ours - single) / np.maximum(both, 1e-3 * single.max()), 0.9) < 2.5
+
+
+RED = (0.9, 0.3, 0.1)
+CLEAR = {
+    "coloured": Transparent(RED),
+    "clear from one side": Mix(BACK, Transparent(RED), Transparent(0.0)),
+    "clear from the other": Mix(BACK, Transparent(0.0), Transparent(RED)),
+    "fading": Transparent(OfSurface(lambda points: 0.5 + 0.5 * np.sin(2 * points.position))),
+    "striped": Transparent(OfSurface(lambda points: 1.0 * (np.sin(9 * points.position) > 0))),
+}
+BEHIND: dict[str, tuple[Light, int]] = {
+    "point": (disk(0.0), 0),
+    "ball": (ball(0.1), 0),
+    "spot": (spot_at(LIGHT, AIMED, power=30.0, angle=1.0), 0),
+    "sun": (sun(0.02), -1),
+}
+
+
+SOME = {("coloured", "point"), ("clear from one side", "point"), ("fading", "spot"), ("striped", "sun")}
+
+
+@pytest.mark.parametrize(
+    ("closure", "name"),
+    [
+        pytest.param(*case, marks=() if case in SOME else pytest.mark.full)
+        for case in itertools.product(CLEAR, BEHIND)
+    ],
+)
+def test_whole_rays_see_what_clear_surfaces_let_through(closure, name):
+    """Of panes that cross the camera's rays, and of a ball."""
+    lights, world = BEHIND[name]
+    panes = [place((x, 0.0, -2.0), (0.0, angle, 0.0)) for x, angle in ((0.5, 1.2), (-0.4, 1.7), (0.4, 0.3))]
+    corners = np.array([[-0.5, -2, 0], [0.5, -2, 0], [0.5, 2, 0], [-0.5, 2, 0]])
+    meshes = [
+        Mesh(corners @ matrix[:3, :3].T + matrix[:3, 3], [[0, 1, 2], [0, 2, 3]], materials=1)
+        for matrix in panes
+    ]
+    meshes += [OCCLUDER, *(NESTED[:1] if world < 0 else ())]
+    materials = (Material(), Material(surface=CLEAR[closure]))
+    made = fog([lights], [THIN], world, meshes, materials=materials, clip_end=5.0)
+    whole, points = (kind(made, np.arange(1)) for kind in (ScatteredAlongRay, PointsOfRay))
+    rays = rays_of(whole, 48)
+    single, error = mean(ScatteredLight(made, np.arange(1)), rays, 20_000, 1)
+    for integrand, each in ((whole, 400), (points, 1500)):
+        ours, own = mean(integrand, rays, each, 2)
+        both = np.hypot(error, own)
+        assert abs(ours.sum() - single.sum()) < 4 * np.sqrt(np.square(both).sum())
+        assert np.quantile(np.abs(ours - single) / np.maximum(both, 1e-3 * single.max()), 0.9) < 2.5
+    assert whole.counts["transparent crossings"] > 0
+    # Without noise, but for a ball's points and what is finer than nodes.
+    radiance, told = whole.along(rays, None)
+    off = np.abs(radiance.sum(axis=0) - single).sum() / single.sum()
+    assert off < (0.02 if name == "point" and closure != "striped" else 0.2) and (told[0] >= 0).all()
 
 
 def test_whole_rays_are_gone_with_what_knows_them():

@@ -38,6 +38,7 @@ class BareLights:
     nearest, whole : (L,) distance to the light at which a ray is taken to pass at least, and from which on it
         sees all of a spot's light (`around_light.Tamed`); 0 but for nodes.
     several : whether rays may have several pairs, as in `fog_lanes.GRAZING`.
+    ahead : whether shadow rays must run towards lights, as what is clear may be so to one side alone.
     """
 
     number: np.ndarray
@@ -57,6 +58,7 @@ class BareLights:
     nearest: np.ndarray
     whole: np.ndarray
     several: bool = True
+    ahead: bool = False
 
     @staticmethod
     def of(scene: SceneLights, number: np.ndarray, media: Media) -> BareLights:

@@ -15,12 +15,12 @@ For a sun, s is uniform in what the fog lets pass.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.raytracer import FAR
-from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..integration.sobol import hash_combine, unit_float
 from . import phase
@@ -48,6 +48,11 @@ _TINY = 1e-300
 GRAZING = (0.8, 4), (0.4, 8)
 """Pairs of points of a small spot that light a ray, where less than such a part of what they light of it is
 lit by all."""
+
+
+Look = Callable[[np.ndarray, np.ndarray, float, "np.ndarray | int"], np.ndarray]
+"""Of origins and directions (N, 3), a reach in their lengths, and blockers (N,) or one for all, as of
+`Links`: (1, N) bool whether nothing is in the way, or (3, N) float32 what part of each colour passes."""
 
 
 @dataclass(eq=False)
@@ -156,17 +161,15 @@ class Lanes(ABC):
             part.__dict__[name] = value
         return part
 
-    def _visible(
-        self, surfaces: Surfaces, origin: np.ndarray, vector: np.ndarray, reach: float
-    ) -> np.ndarray:
-        """(..., n) bool, whether no shadow falls along ``vector`` (..., n, 3) from ``origin``."""
+    def _visible(self, look: Look, origin: np.ndarray, vector: np.ndarray, reach: float) -> np.ndarray:
+        """(c, ..., n) of ``look`` along ``vector`` (..., n, 3) from ``origin``."""
         shape, blockers = origin.shape[:-1], self.blockers
         if len(blockers) == 1 or (blockers == blockers[0]).all():
             blockers = int(blockers[0])
         else:
             blockers = np.broadcast_to(blockers, shape).reshape(-1)
         rays = (np.ascontiguousarray(x.reshape(-1, 3)) for x in (origin, vector))
-        return ~surfaces.occluded(*rays, reach, blockers).reshape(shape)
+        return look(*rays, reach, blockers).reshape(-1, *shape)
 
     def radiance(self, integrals: np.ndarray) -> np.ndarray:
         """(3, n) radiance that integrals (G, C, n) over s of `smooth` come to."""
@@ -190,8 +193,8 @@ class Lanes(ABC):
         """(G, C, n) the integrand at s (n,), or (G, C, Q, n) at s (Q, n) or (Q, 1)."""
 
     @abstractmethod
-    def seen(self, s: np.ndarray, surfaces: Surfaces) -> np.ndarray:
-        """(n,) bool, whether lights are seen from s (n,), or (Q, n) from s (Q, n) or (Q, 1)."""
+    def seen(self, s: np.ndarray, look: Look) -> np.ndarray:
+        """(c, n) of ``look`` what of lights is seen from s (n,), or (c, Q, n) from s (Q, n) or (Q, 1)."""
 
     def _phases(self, value: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
         """``value`` (C, ...) times each phase function."""
@@ -292,7 +295,7 @@ class AboutPoints(Lanes):
         if is_spot:
             inner = self._dimming(at_foot, along, below, sharpness, low, high)
         self._set_breaks(inner, low, distance, m0, p0, step)
-        self._far = bool(np.abs(lights.position).max() > _NEAR)
+        self._far = lights.ahead or bool(np.abs(lights.position).max() > _NEAR)
         if self._far or not np.all(self._closed):
             self.begin = (take(segments.origin, segment) + take(segments.direction, segment) * begin).astype(
                 np.float32
@@ -408,7 +411,7 @@ class AboutPoints(Lanes):
         t = np.clip((self._below - below) * self._sharpness, 0, 1)
         return t * t * (3 - 2 * t)
 
-    def seen(self, s, surfaces):
+    def seen(self, s, look):
         m, p, s = self._at(s)
         x = self._x(m, p)
         vector, origin = np.empty((2, *x.shape, 3), np.float32)
@@ -425,7 +428,7 @@ class AboutPoints(Lanes):
         else:
             lights = self._lights.position.T.astype(np.float32)
             origin[:] = lights[0] if len(lights) == 1 else lights.take(self.light, axis=0)
-        return self._visible(surfaces, origin, vector, reach)
+        return self._visible(look, origin, vector, reach)
 
 
 class TowardsSuns(Lanes):
@@ -468,12 +471,12 @@ class TowardsSuns(Lanes):
         depth = self._legs(position, towards, np.inf, np.arange(len(self)))
         return self._phases(np.exp(-(depth + self._further[:, None] * t)), self._less, self._more)
 
-    def seen(self, s, surfaces):
+    def seen(self, s, look):
         if s.ndim == 1:
-            return self.seen(s[None], surfaces)[0]
+            return self.seen(s[None], look)[:, 0]
         _, position = self._place(s)
         towards = np.broadcast_to(self._towards[:, None], position.shape)
-        return self._visible(surfaces, np.moveaxis(position, 0, -1), np.moveaxis(towards, 0, -1), FAR)
+        return self._visible(look, np.moveaxis(position, 0, -1), np.moveaxis(towards, 0, -1), FAR)
 
 
 def _rows(a: np.ndarray) -> np.ndarray:

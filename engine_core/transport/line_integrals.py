@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Integrals along a line of what is smooth times what is seen, each found apart.
 
-Shadow rays to a few *nodes* tell where along a line something is seen; between two that differ, bisection
-finds the shadow's edge. All other factors are one smooth function of the place, a polynomial through
-Gauss-Legendre points; its antiderivative needs no ray.
+Shadow rays to a few *nodes* tell where along a line something is seen, or what part of each colour; between
+two that differ, bisection finds the shadow's edge. All other factors are one smooth function of the place, a
+polynomial through Gauss-Legendre points; its antiderivative needs no ray.
 
 The unbiased estimate adds rays: one in the last bracket of each edge, and a few anywhere, where the
 integrand is compared with the polynomial times the visibility that was found. (Own; measured in
@@ -31,8 +31,13 @@ _LAST = np.float32(1 - 2.0**-24)
 Looks = tuple[int, int]
 """Nodes and checks of a line."""
 
+SHARP = 0.02
+"""How much what is seen differs between nodes, of all of it, so that an edge is looked for between them. What
+differs less, as through panes seen at other angles, is a step in the middle; samples find the rest."""
+
 Visibility = Callable[[Any, np.ndarray], np.ndarray]
-"""Of n lines and places s (..., n), or (Q, 1), on them: (..., n) bool what is seen from there."""
+"""Of n lines and places s (..., n), or (Q, 1), on them: (1, ..., n) bool what is seen from there, or
+(3, ..., n) float32 what part of each colour."""
 
 
 class Lines(Protocol):
@@ -70,7 +75,8 @@ class LineIntegrals:
     def integral(
         self, lines: Lines, seen: Visibility, looks: Looks, u: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """(G, C, n) integrals of `Lines.smooth` times visibility over s, for u (2, n); None for none.
+        """(G, C, n) integrals of `Lines.smooth` times visibility over s, for u (2, n); None for none. Three
+        channels where visibility has.
 
         Without a u, also what deviation the last brackets of shadows leave, and how many edges these have
         (n,); None for 0.
@@ -84,43 +90,80 @@ class LineIntegrals:
             u = None if u is None else wrapped(u[:2] + lines.turn)
         s = _places(nodes, shift)
         told = seen(lines, s)
-        result = pieces.whole * told[-1]
-        step, line = np.nonzero(told[1:] != told[:-1])
+        result = pieces.whole * told[:, -1]
+        jump = _differing(told[:, 1:], told[:, :-1])
+        step, line = np.nonzero(jump)
         error = edges = None
         low = high = np.zeros(0)
         if line.size:
-            part, lit = lines.take(line), told[step, line]
-            low, high = s[step, line], s[step + 1, line]
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (low + high)
-                same = seen(part, middle) == lit
-                low, high = np.where(same, middle, low), np.where(same, high, middle)
-            edge = 0.5 * (low + high) if u is None else np.where(lit, low, high)
-            change = pieces.integral(line, edge)
-            change *= np.where(lit, np.float32(1), np.float32(-1))
+            part, first, last = lines.take(line), told[:, step, line], told[:, step + 1, line]
+            low, high, size = s[step, line], s[step + 1, line], jump[step, line]
+            sharp = np.flatnonzero(size > SHARP)
+            bracket = self._bisected(seen, part, sharp, low, high, first, last)
+            if u is None:
+                edge = 0.5 * (bracket[0] + bracket[1])
+            else:
+                # Brackets are believed dark, or to be what is on their later side, and sampled.
+                dark = first[0] < last[0] if len(told) == 1 else np.zeros(len(line), bool)
+                edge = np.where(dark, bracket[1], bracket[0])
+                faint = size <= SHARP
+                edge[faint] = low[faint] = high[faint] = (0.5 * (low + high))[faint]
+                low[sharp], high[sharp] = (x[sharp] for x in bracket)
+            change = pieces.integral(line, edge) * _less(first, last)
             if u is None:
                 rough = pieces.value(line, edge)
-                rough *= (0.5 * (high - low)).astype(np.float32)
+                rough *= (0.5 * size * (bracket[1] - bracket[0])).astype(np.float32)
                 error = _sums(line, rough * rough, len(lines))
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
-                lone = ((told[1:-1] != told[:-2]) & (told[1:-1] != told[2:])).sum(axis=0)
+                is_sharp = jump > SHARP
+                lone = (is_sharp[1:] & is_sharp[:-1]).sum(axis=0)
                 error += pieces.whole**2 * (lone / (nodes * checks))
-                error, edges = np.sqrt(error), np.bincount(line, minlength=len(lines))
+                error = np.sqrt(error)
+                edges = np.bincount(line[sharp], minlength=len(lines))
             else:
                 at = low + (high - low) * u[0].take(line)
-                change += part.smooth(at) * ((high - low) * seen(part, at)).astype(np.float32)
+                believed = np.where(dark, first, last)
+                sample = _less(seen(part, at), believed)
+                sample *= (high - low).astype(np.float32)
+                change += part.smooth(at) * sample
             result += _sums(line, change, len(lines))
         if u is not None:
             result += self._checked(lines, seen, pieces, shift, told, (step, line, low, high), checks, u[1])
         return result, error, edges
 
     @staticmethod
+    def _bisected(
+        seen: Visibility,
+        lines: Lines,
+        rows: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        first: np.ndarray,
+        last: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Brackets (X,), from between ``low`` and ``high``, in which what is seen of lines ``rows`` goes from
+        ``first`` to ``last`` (c, X); of others as they are.
+        """
+        whole = low.copy(), high.copy()
+        if len(rows) < len(low):
+            lines, low, high = lines.take(rows), low[rows], high[rows]
+            first, last = first[:, rows], last[:, rows]
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            there = seen(lines, middle)
+            same = _differing(there, first) < _differing(there, last)
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        for all_of_it, some in zip(whole, (low, high), strict=True):
+            all_of_it[rows] = some
+        return whole
+
+    @staticmethod
     def by_points(lines: Lines, seen: Visibility, count: int, u: np.ndarray) -> np.ndarray:
         """(G, C, n) float64, the same by a point in each of ``count`` parts of a line, at u (n,)."""
         s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
         np.minimum(s, _LAST, out=s)
-        value = lines.smooth(s)
-        value *= seen(lines, s)
+        value, part = lines.smooth(s), seen(lines, s)
+        value = np.multiply(value, part, out=value if len(part) == 1 else None)
         return value.mean(axis=2, dtype=np.float64)
 
     @staticmethod
@@ -134,16 +177,16 @@ class LineIntegrals:
         checks: int,
         u: np.ndarray,
     ) -> np.ndarray:
-        """(G, C, n) what is missing where nodes say ``told`` (K, n), by a few rays placed by u (n,).
+        """(G, C, n) what is missing where nodes say ``told`` (c, K, n), by a few rays placed by u (n,).
 
         edges : steps, lines, and brackets (X,) of shadows' edges, which are sampled for themselves.
         """
         # Rays ask what is seen at places in each part of a line; how right the polynomial is needs but one.
         part = np.arange(checks, dtype=np.float32)[:, None]
         at = np.concatenate([u[None], (u + part) / checks])
-        steps, here = len(told) - 1, np.arange(len(lines))
+        steps, here = told.shape[1] - 1, np.arange(len(lines))
         cell = np.clip(at * np.float32(steps) + (np.float32(0.5) - shift), 0, steps - 1).astype(np.intp)
-        believed, known = told[cell, here], np.ones(at.shape, bool)
+        believed, known = told[:, cell, here], np.ones(at.shape, bool)
         step, line, low, high = edges
         if line.size:
             row = np.full((steps, len(lines)), -1)
@@ -152,19 +195,22 @@ class LineIntegrals:
             near = np.nonzero(row >= 0)
             place, row = at[near], row[near]
             below = place < low.take(row)
-            believed[near] = np.where(below, believed[near], told[cell + 1, here][near])
+            later = told[(slice(None), cell[near] + 1, here[near[1]])]
+            believed[(slice(None), *near)] = np.where(below, believed[(slice(None), *near)], later)
             known[near] = below | (place > high.take(row))
-        lit = np.flatnonzero(believed[0] & known[0])
-        missing = np.zeros((*pieces.whole.shape[:2], len(lines)))
+        lit = np.flatnonzero(believed[:, 0].any(axis=0) & known[0])
+        groups, channels, n = pieces.whole.shape
+        missing = np.zeros((groups, max(channels, len(told)), n))
         if lit.size:
             place = at[0].take(lit)
-            missing[:, :, lit] = lines.take(lit).smooth(place) - pieces.value(lit, place)
-        wrong, line = np.nonzero((seen(lines, at[1:]) != believed[1:]) & known[1:])
+            off = lines.take(lit).smooth(place) - pieces.value(lit, place)
+            missing[:, :, lit] = off * believed[:, 0, lit]
+        there = seen(lines, at[1:])
+        wrong, line = np.nonzero((there != believed[:, 1:]).any(axis=0) & known[1:])
         if line.size:
-            change = lines.take(line).smooth(at[1 + wrong, line])
-            share = np.float32(1 / checks)
-            change *= np.where(believed[1 + wrong, line], -share, share)
-            missing += _sums(line, change, len(lines))
+            less = _less(there[:, wrong, line], believed[:, 1 + wrong, line])
+            less *= np.float32(1 / checks)
+            missing += _sums(line, lines.take(line).smooth(at[1 + wrong, line]) * less, n)
         return missing
 
 
@@ -176,6 +222,16 @@ def _places(nodes: int, shift: np.ndarray) -> np.ndarray:
     s = (np.arange(nodes, dtype=np.float32)[:, None] + (shift - np.float32(0.5))) / np.float32(nodes - 1)
     s[0], s[-1] = _INSET, 1 - _INSET
     return s
+
+
+def _differing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...) how much what is seen, (c, ...), differs in any colour; of light and dark, whether it does."""
+    return (a != b)[0] if a.dtype == bool else np.abs(a - b).max(axis=0)
+
+
+def _less(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(c, ...) float32 a - b of what is seen."""
+    return a - b if a.dtype != bool else a.astype(np.float32) - b
 
 
 def wrapped(u: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..geometry.vectors import dot, take
 from ..integration.inner_rules import InnerRule, Nodes
 from .around_light import Tamed
 from .bare_lights import BARE, POINT, SPOT, SUN, BareLights
-from .direct_light import SHADOW
+from .direct_light import CROSSING, SHADOW
 from .fog_lanes import FogSegments, Lanes
 from .fog_rays import FogRays
 from .line_integrals import LineIntegrals, Looks, wrapped
@@ -106,7 +106,7 @@ class ScatteredAlongRay(Scattered):
         """
         super().__init__(scattering, scattering.sizeless if lights is None else lights, check)
         self._bare = BareLights.of(scattering.lights, self._lights, scattering.media)
-        self._bare.several = several
+        self._bare.several, self._bare.ahead = several, scattering.surfaces.any_transparent
         self._small = bool((self._bare.shape != BARE).any())
         if self._small:
             self.rest_dimensions += 2
@@ -255,14 +255,29 @@ class ScatteredAlongRay(Scattered):
         return self._integrals.integral(lanes, self._seen, looks, u)
 
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
-        """(..., n) bool, whether lights are seen from s (..., n) or (Q, 1)."""
+        """What of lights is seen from s (..., n) or (Q, 1): see `fog_lanes.Look`."""
         shape = np.broadcast_shapes(s.shape, (len(lanes),))
         casts = lanes.blockers != NONE_CAST
         if not casts.any():
-            return np.ones(shape, bool)
+            coloured = self._scattering.surfaces.any_transparent
+            return np.ones((3, *shape), np.float32) if coloured else np.ones((1, *shape), bool)
         self._count(SHADOW, int(np.prod(shape)))
-        seen = lanes.seen(s, self._scattering.surfaces)
-        return seen if casts.all() else seen | ~casts
+        seen = lanes.seen(s, self._look)
+        # Of light and dark, and of parts, the larger is all of it.
+        return seen if casts.all() else np.maximum(seen, ~casts)
+
+    def _look(
+        self, origins: np.ndarray, directions: np.ndarray, reach: float, blockers: np.ndarray | int
+    ) -> np.ndarray:
+        """As `fog_lanes.Look`."""
+        surfaces = self._scattering.surfaces
+        if not surfaces.any_transparent:
+            return ~surfaces.occluded(origins, directions, reach, blockers)[None]
+        arrive, part, crossings = self._scattering.shadows.passing(origins, directions, reach, blockers)
+        self._count(CROSSING, crossings)
+        seen = np.zeros((3, len(origins)), np.float32)
+        seen[:, arrive] = 1 if part is None else part
+        return seen
 
 
 class PointsOfRay(ScatteredAlongRay):

@@ -74,12 +74,9 @@ class SingleScattering:
             of_mesh[start:stop] = group.is_mesh
             if isinstance(group, SunEmitters):
                 small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
-        # Whole rays know but light and dark: where shadows are coloured, points are sampled.
-        bare &= not surfaces.any_transparent
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
         reaches &= lights.links.in_fog
-        small &= not surfaces.any_transparent
         self.sizeless, self.sized, self.small, self.of_mesh = (
             np.flatnonzero(some & reaches) for some in (bare, ~bare, small, of_mesh)
         )

@@ -19,7 +19,6 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import dot, take
 from ..geometry.warps import basis, cap, concentric_disk, sin_sqr_to_one_minus_cos
 from ..integration.sobol import hash_combine, unit_float
@@ -140,7 +139,7 @@ class AboutSmall(AboutPoints, ABC):
             row += vectors[2] * frame[2][i]
         return out
 
-    def seen(self, s, surfaces: Surfaces):
+    def seen(self, s, look):
         m, p, s = self._at(s)
         x = self._x(m, p)
         to_light = self._in_space(self._vectors(x)[0])
@@ -158,7 +157,7 @@ class AboutSmall(AboutPoints, ABC):
                 origin[..., i] += to_light[i]
                 np.negative(to_light[i], out=vector[..., i])
             reach = SHORT
-        return self._visible(surfaces, origin, vector, reach)
+        return self._visible(look, origin, vector, reach)
 
 
 class AboutDisks(AboutSmall):

@@ -78,7 +78,8 @@ RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""
 
 NOISY = 0.07
-"""Of what suns bring, deviation along whole rays from which on a net serves them better."""
+"""Of what suns bring, deviation along whole rays from which on a net serves them better; and of what any light
+does where shadows are coloured, which makes these rays dear."""
 
 LEARNING = 1 / 16
 """Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points
@@ -249,12 +250,15 @@ def _of_fog(
     bare, small = scattering.sizeless, scattering.small
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
-    if by_net and small.size:
+    coloured = scattering.surfaces.any_transparent
+    if by_net and (small.size or coloured):
         asked = _asked(scattering, region)
         small = small[_of_distance(scattering, small, asked) < SMALL]
-        suns = small[scattering.sine[small] > 0]
-        if _noise_along(scattering, suns, asked) > NOISY:
-            small = np.setdiff1d(small, suns)
+        doubtful = small if coloured else small[scattering.sine[small] > 0]
+        if _noise_along(scattering, doubtful, asked) > NOISY:
+            small = np.setdiff1d(small, doubtful)
+        if coloured and _noise_along(scattering, bare, asked) > NOISY:
+            bare, rest = bare[:0], np.union1d(bare, rest)
     if not by_net or len(small) > MOST_SMALL:
         small = small[:0]
 

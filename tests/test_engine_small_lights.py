@@ -124,6 +124,7 @@ CLEAR = {
     "clear from one side": Mix(BACK, Transparent(RED), Transparent(0.0)),
     "clear from the other": Mix(BACK, Transparent(0.0), Transparent(RED)),
     "fading": Transparent(OfSurface(lambda points: 0.5 + 0.5 * np.sin(2 * points.position))),
+    "nearly clear": Transparent(OfSurface(lambda points: 0.99 + 0.005 * np.sin(2 * points.position))),
     "striped": Transparent(OfSurface(lambda points: 1.0 * (np.sin(9 * points.position) > 0))),
 }
 BEHIND: dict[str, tuple[Light, int]] = {
@@ -134,7 +135,13 @@ BEHIND: dict[str, tuple[Light, int]] = {
 }
 
 
-SOME = {("coloured", "point"), ("clear from one side", "point"), ("fading", "spot"), ("striped", "sun")}
+SOME = {
+    ("coloured", "point"),
+    ("clear from one side", "point"),
+    ("fading", "spot"),
+    ("nearly clear", "ball"),
+    ("striped", "sun"),
+}
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,8 @@ class Lanes(ABC):
         else:
             blockers = np.broadcast_to(blockers, shape).reshape(-1)
         rays = (np.ascontiguousarray(x.reshape(-1, 3)) for x in (origin, vector))
-        return look(*rays, reach, blockers).reshape(-1, *shape)
+        found = look(*rays, reach, blockers)
+        return found.reshape(len(found), *shape)
 
     def radiance(self, integrals: np.ndarray) -> np.ndarray:
         """(3, n) radiance that integrals (G, C, n) over s of `smooth` come to."""

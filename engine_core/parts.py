@@ -78,8 +78,8 @@ RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""
 
 NOISY = 0.07
-"""Of what suns bring, deviation along whole rays from which on a net serves them better; and of what any light
-does where shadows are coloured, which makes these rays dear."""
+"""Of what suns bring, deviation along whole rays from which on a net serves them better; and of what any
+light does where shadows are coloured, which makes these rays dear."""
 
 LEARNING = 1 / 16
 """Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points

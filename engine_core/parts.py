@@ -251,15 +251,19 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     coloured = scattering.surfaces.any_transparent
-    if by_net and (small.size or coloured):
+    if coloured and not by_net:
+        # One point each would be dear, and one of all is chosen.
+        bare, rest = bare[:0], np.union1d(bare, rest)
+    if by_net and (small.size or coloured and bare.size):
         asked = _asked(scattering, region)
         small = small[_of_distance(scattering, small, asked) < SMALL]
+        small = small if len(small) <= MOST_SMALL else small[:0]
         doubtful = small if coloured else small[scattering.sine[small] > 0]
-        if _noise_along(scattering, doubtful, asked) > NOISY:
+        if _noise_along(scattering, doubtful, asked, check) > NOISY:
             small = np.setdiff1d(small, doubtful)
-        if coloured and _noise_along(scattering, bare, asked) > NOISY:
+        if coloured and _noise_along(scattering, bare, asked, check) > NOISY:
             bare, rest = bare[:0], np.union1d(bare, rest)
-    if not by_net or len(small) > MOST_SMALL:
+    if not by_net:
         small = small[:0]
 
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
@@ -399,11 +403,13 @@ def _asked(scattering: SingleScattering, region: Region) -> FogRays:
     return scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
 
 
-def _noise_along(scattering: SingleScattering, lights: np.ndarray, rays: FogRays) -> float:
+def _noise_along(
+    scattering: SingleScattering, lights: np.ndarray, rays: FogRays, check: Callable[[], None]
+) -> float:
     """What whole rays, without another sample, say that theirs deviate by, of what lights (L,) bring them."""
     if lights.size == 0 or len(rays) == 0:
         return 0.0
-    radiance, told = ScatteredAlongRay(scattering, lights).along(rays, None)
+    radiance, told = ScatteredAlongRay(scattering, lights, check).along(rays, None)
     return float(told[0].sum() / max(radiance.sum(dtype=np.float64), 1e-300))
 
 

@@ -29,9 +29,9 @@ TRIED_AT = 0.25
 """The part of the nodes' budget after which it is tried."""
 
 DOUBTFUL, DOUBTFUL_OF_ONE = 0.01, 0.03
-"""Part of f's variance that h leaves over, as the nodes see it, up to which it is not: soft shadows and
-smooth lights leave .0003 to .005 then, sun through blinds .02 to .03, thin occluders .06 to .3. And in a
-picture of one sample a pixel, whose few nodes leave more of all."""
+"""Part of f's variance that h leaves over, as the nodes see it, up to which it is not: of 640 x 360 pixels
+soft shadows and smooth lights leave .0003 to .005 then, sun through blinds .02 to .03, thin occluders .06 to
+.3; few nodes, in smaller pictures, leave more. And in a picture of one sample a pixel, where all do."""
 
 OF_ALL, PIXELS, FEWEST = 1 / 64, 2048, 32
 """Of all samples, for a round of the trial, at most; pixels, at most, and so many that fewer tell nothing."""

@@ -26,6 +26,7 @@ from engine_core.shading.closures import Transparent
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.fog_lanes import FogSegments
+from engine_core.transport.line_integrals import LineIntegrals
 from engine_core.transport.ray_rule import AlongRay, PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
 from engine_core.transport.single_scattering import SingleScattering
@@ -241,6 +242,46 @@ def test_two_fogs_that_overlap(kind):
 
 
 # -- shadows -----------------------------------------------------------------------------------------
+
+
+class Peaks:
+    """n lines of one peak, which no polynomial follows; with what is seen, by an edge on its slope."""
+
+    lit = turn = None
+    edge = 0.4
+
+    def __init__(self, n: int) -> None:
+        self.breaks, self.shift = np.zeros((0, n)), np.linspace(0, 1, n, endpoint=False, dtype=np.float32)
+
+    def __len__(self) -> int:
+        return len(self.shift)
+
+    def take(self, rows: np.ndarray) -> Peaks:
+        return Peaks(len(rows))
+
+    def smooth(self, s: np.ndarray) -> np.ndarray:
+        s = np.broadcast_to(s, (*s.shape[:-1], len(self)))
+        return (1 / (1e-3 + np.square(s - 0.37))).astype(np.float32)[None, None]
+
+    def seen(self, s: np.ndarray, before: float, after: float, fade: float) -> np.ndarray:
+        s = np.broadcast_to(s, (*s.shape[:-1], len(self)))
+        part = np.where(s < self.edge, before, after) + fade * s
+        return np.stack([part, 0.5 * part, 1 - part]).astype(np.float32)
+
+
+@pytest.mark.parametrize(("nodes", "checks"), [(33, 32), (2, 2)])
+@pytest.mark.parametrize("parts", [(0.3, 0.9, 0.0), (0.9, 0.3, 0.0), (0.0, 0.5, 0.01)])
+def test_lines_that_see_parts_are_unbiased(parts, nodes, checks):
+    """What is believed of a bracket is compared with the polynomial there, too."""
+    lines = Peaks(60_000)
+    u = np.random.default_rng(3).random((2, len(lines)), np.float32)
+    found, *_ = LineIntegrals(10).integral(lines, lambda of, s: of.seen(s, *parts), (nodes, checks), u)
+    every = Peaks(400_000)
+    s = (np.arange(len(every)) + 0.5) / len(every)
+    wanted = (every.smooth(s)[0] * every.seen(s, *parts)).mean(axis=1, dtype=np.float64)
+    error = found[0].std(axis=1, dtype=np.float64) / len(lines) ** 0.5
+    assert (np.abs(found[0].mean(axis=1, dtype=np.float64) - wanted) < 4 * error).all()
+    assert (error < 0.02 * wanted).all()
 
 
 def _dense(integrand: ScatteredAlongRay, rays, count: int) -> np.ndarray:

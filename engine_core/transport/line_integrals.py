@@ -35,6 +35,9 @@ SHARP = 0.02
 """How much what is seen differs between nodes, of all of it, so that an edge is looked for between them. What
 differs less, as through panes seen at other angles, is a step in the middle; samples find the rest."""
 
+OUTLINE = 0.25
+"""The same, so that it is told of as the edge of a shadow."""
+
 Visibility = Callable[[Any, np.ndarray], np.ndarray]
 """Of n lines and places s (..., n), or (Q, 1), on them: (1, ..., n) bool what is seen from there, or
 (3, ..., n) float32 what part of each colour."""
@@ -106,8 +109,9 @@ class LineIntegrals:
                 # Brackets are believed dark, or to be what is on their later side, and sampled.
                 dark = first[0] < last[0] if len(told) == 1 else np.zeros(len(line), bool)
                 edge = np.where(dark, bracket[1], bracket[0])
-                faint = size <= SHARP
-                edge[faint] = low[faint] = high[faint] = (0.5 * (low + high))[faint]
+                if len(sharp) < len(line):
+                    faint = size <= SHARP
+                    edge[faint] = low[faint] = high[faint] = (0.5 * (low + high))[faint]
                 low[sharp], high[sharp] = (x[sharp] for x in bracket)
             change = pieces.integral(line, edge) * _less(first, last)
             if u is None:
@@ -115,21 +119,38 @@ class LineIntegrals:
                 rough *= (0.5 * size * (bracket[1] - bracket[0])).astype(np.float32)
                 error = _sums(line, rough * rough, len(lines))
                 # What is one node long here may lie between nodes nearby, where the checks alone find it.
-                is_sharp = jump > SHARP
-                lone = (is_sharp[1:] & is_sharp[:-1]).sum(axis=0)
+                lone = np.square(np.minimum(jump[1:], jump[:-1]), dtype=np.float64).sum(axis=0)
                 error += pieces.whole**2 * (lone / (nodes * checks))
                 error = np.sqrt(error)
-                edges = np.bincount(line[sharp], minlength=len(lines))
-            else:
-                at = low + (high - low) * u[0].take(line)
+                edges = np.bincount(line[size > OUTLINE], minlength=len(lines))
+            elif sharp.size:
                 believed = np.where(dark, first, last)
-                sample = _less(seen(part, at), believed)
-                sample *= (high - low).astype(np.float32)
-                change += part.smooth(at) * sample
+                if len(sharp) == len(line):
+                    change += self._sampled(seen, part, low, high, believed, u[0].take(line))
+                else:
+                    where = low[sharp], high[sharp], believed[:, sharp], u[0].take(line[sharp])
+                    change[:, :, sharp] += self._sampled(seen, part.take(sharp), *where)
             result += _sums(line, change, len(lines))
         if u is not None:
             result += self._checked(lines, seen, pieces, shift, told, (step, line, low, high), checks, u[1])
         return result, error, edges
+
+    @staticmethod
+    def _sampled(
+        seen: Visibility,
+        lines: Lines,
+        low: np.ndarray,
+        high: np.ndarray,
+        believed: np.ndarray,
+        u: np.ndarray,
+    ) -> np.ndarray:
+        """(G, C, X) what lines bring more than is ``believed`` to be seen (c, X), between ``low`` and
+        ``high`` (X,): at a place, by u (X,).
+        """
+        at = low + (high - low) * u
+        sample = _less(seen(lines, at), believed)
+        sample *= (high - low).astype(np.float32)
+        return lines.smooth(at) * sample
 
     @staticmethod
     def _bisected(
@@ -179,7 +200,7 @@ class LineIntegrals:
     ) -> np.ndarray:
         """(G, C, n) what is missing where nodes say ``told`` (c, K, n), by a few rays placed by u (n,).
 
-        edges : steps, lines, and brackets (X,) of shadows' edges, which are sampled for themselves.
+        edges : steps, lines, and brackets (X,) of shadows' edges, in which visibility is sampled for itself.
         """
         # Rays ask what is seen at places in each part of a line; how right the polynomial is needs but one.
         part = np.arange(checks, dtype=np.float32)[:, None]
@@ -198,7 +219,8 @@ class LineIntegrals:
             later = told[(slice(None), cell[near] + 1, here[near[1]])]
             believed[(slice(None), *near)] = np.where(below, believed[(slice(None), *near)], later)
             known[near] = below | (place > high.take(row))
-        lit = np.flatnonzero(believed[:, 0].any(axis=0) & known[0])
+        # Brackets that are believed dark leave nothing to the polynomial.
+        lit = np.flatnonzero(believed[:, 0].any(axis=0) & (known[0] | (len(told) > 1)))
         groups, channels, n = pieces.whole.shape
         missing = np.zeros((groups, max(channels, len(told)), n))
         if lit.size:

@@ -47,6 +47,7 @@ class SingleScattering:
     screen_dimensions : 2 of a pixel, and 2 of a lens.
     sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others; and of
         those among these that it takes, too. Lights that no fog gets light of are in none.
+    of_mesh : numbers of those that are pieces of meshes.
     sine : (L,) of half the angles that suns fill, 0 of others.
     """
 

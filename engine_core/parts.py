@@ -251,10 +251,12 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     coloured = scattering.surfaces.any_transparent
-    if coloured and not by_net:
-        # One point each would be dear, and one of all is chosen.
-        bare, rest = bare[:0], np.union1d(bare, rest)
-    if by_net and (small.size or coloured and bare.size):
+    if not by_net:
+        small = small[:0]
+        if coloured:
+            # One point each would be dear, and one of all is chosen.
+            bare, rest = bare[:0], np.union1d(bare, rest)
+    elif small.size or coloured and bare.size:
         asked = _asked(scattering, region)
         small = small[_of_distance(scattering, small, asked) < SMALL]
         small = small if len(small) <= MOST_SMALL else small[:0]
@@ -263,8 +265,6 @@ def _of_fog(
             small = np.setdiff1d(small, doubtful)
         if coloured and _noise_along(scattering, bare, asked, check) > NOISY:
             bare, rest = bare[:0], np.union1d(bare, rest)
-    if not by_net:
-        small = small[:0]
 
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
         """Of lights of all kinds: whole rays of those without size and small ones, points of the others."""

@@ -263,8 +263,7 @@ class ScatteredAlongRay(Scattered):
             return np.ones((3, *shape), np.float32) if coloured else np.ones((1, *shape), bool)
         self._count(SHADOW, int(np.prod(shape)))
         seen = lanes.seen(s, self._look)
-        # Of light and dark, and of parts, the larger is all of it.
-        return seen if casts.all() else np.maximum(seen, ~casts)
+        return seen if casts.all() else np.where(casts, seen, seen.dtype.type(1))
 
     def _look(
         self, origins: np.ndarray, directions: np.ndarray, reach: float, blockers: np.ndarray | int

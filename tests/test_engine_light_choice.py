@@ -11,9 +11,12 @@ from scenes import floor, mixed_lights, place, sphere
 from scipy import stats
 
 from engine_core import AreaLight, Light, Material, Mesh, PointLight, SpotLight, World
+from engine_core.bsdf.diffuse import Lambert
+from engine_core.bsdf.microfacet import GGX
 from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.transport.emitters import emitter_groups
+from engine_core.transport.highlights import Highlights
 from engine_core.transport.light_choice import (
     CANDIDATES,
     TOLERANCE,
@@ -24,6 +27,7 @@ from engine_core.transport.light_choice import (
     WeighedLights,
     clusters_of_cells,
 )
+from engine_core.transport.surface_shading import Slot
 
 SAMPLES = 100_000
 CONFIDENCE = 0.01
@@ -45,7 +49,24 @@ def points(random: np.random.Generator, *shape: int) -> tuple[np.ndarray, np.nda
     return position.astype(np.float32), (normal / np.linalg.norm(normal, axis=0)).astype(np.float32)
 
 
-def choice_of(lights: Lights, seed: int = 5, hits: bool = True) -> LightChoice:
+def glossy(random: np.random.Generator, normal: np.ndarray) -> Highlights:
+    """Of points with normals (3, *shape): widths of all kinds, from all sides, half of them with a lobe."""
+    normal = normal.reshape(3, -1)
+    count = normal.shape[1]
+    viewer = random.normal(size=normal.shape).astype(np.float32)
+    viewer /= np.linalg.norm(viewer, axis=0)
+    viewer *= np.sign((viewer * normal).sum(axis=0))
+    has = np.flatnonzero(np.arange(count) % 2)
+    row = np.full(count, -1, np.int32)
+    row[has] = np.arange(len(has))
+    alpha = (10 ** random.uniform(-4, 0, len(has))).astype(np.float32)
+    weight = random.random((3, len(has)), np.float32)
+    lobe = GGX.of(weight, normal[:, has], viewer[:, has], (alpha, alpha), None, None)
+    matte = Lambert(np.full((3, count), 0.2, np.float32), normal, viewer)
+    return Highlights.of([Slot(matte, None, False), Slot(lobe, row, True)], count)
+
+
+def choice_of(lights: Lights, seed: int = 5, hits: bool = True, shine: bool = False) -> LightChoice:
     if len(lights) <= WEIGHED:
         return WeighedLights(lights)
     random = np.random.default_rng(seed)
@@ -53,15 +74,20 @@ def choice_of(lights: Lights, seed: int = 5, hits: bool = True) -> LightChoice:
     # Cells are small: their points lie near each other.
     position = position[:, :, :1] + 0.2 * position
     found = random.random((CELLS, PILOTS)) < 0.9 if hits else np.zeros((CELLS, PILOTS), bool)
-    return CandidateLights(lights, clusters_of_cells(lights, position, normal, found))
+    shown = glossy(random, normal) if shine else None
+    return CandidateLights(lights, clusters_of_cells(lights, position, normal, found, highlights=shown))
 
 
-def all_chances(choice: LightChoice, lights: Lights, position, normal, cell) -> np.ndarray:
+def all_chances(
+    choice: LightChoice, lights: Lights, position, normal, cell, highlights: Highlights | None = None
+) -> np.ndarray:
     """(L, M) probabilities of every light at every point."""
     count, size = len(lights), position.shape[1]
     light = np.tile(np.arange(count), size)
     at = np.repeat(np.arange(size), count)
-    return choice.pdf(light, position[:, at], normal[:, at], cell[at]).reshape(size, count).T
+    highlights = None if highlights is None else highlights.take(at)
+    chances = choice.pdf(light, position[:, at], normal[:, at], cell[at], None, highlights)
+    return chances.reshape(size, count).T
 
 
 def spots(count: int) -> list[Light]:
@@ -108,16 +134,18 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("split", [1, 4])
-def test_lights_are_chosen_as_often_as_pdf_says(case: str, split: int):
+@pytest.mark.parametrize(("split", "shine"), [(1, False), (4, False), (4, True)])
+def test_lights_are_chosen_as_often_as_pdf_says(case: str, split: int, shine: bool):
     lights = CASES[case]()
-    choice, random, count = choice_of(lights), np.random.default_rng(1), len(lights)
+    choice, random, count = choice_of(lights, shine=shine), np.random.default_rng(1), len(lights)
     position, normal = points(random, 3)
     cell = np.array([0, 1, 1])
-    chances = all_chances(choice, lights, position, normal, cell)
+    shown = glossy(random, normal) if shine else None
+    chances = all_chances(choice, lights, position, normal, cell, shown)
     rows = np.repeat(np.arange(3), SAMPLES // split)
     w = random.random((len(rows), split), np.float32)
-    light, pdf, w = choice.choose(position[:, rows], normal[:, rows], cell[rows], w)
+    shown = shown.take(rows) if shine else None
+    light, pdf, w = choice.choose(position[:, rows], normal[:, rows], cell[rows], w, None, shown)
     assert (w >= 0).all() and (w < 1).all()
     assert light.min() >= 0 and light.max() < count
     for row in range(3):
@@ -133,12 +161,20 @@ def test_lights_are_chosen_as_often_as_pdf_says(case: str, split: int):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_probabilities_are_positive_and_sum_to_one(case: str):
-    lights = CASES[case]()
-    position, normal = points(np.random.default_rng(8), 50)
+@pytest.mark.parametrize("shine", [False, True])
+def test_probabilities_are_positive_and_sum_to_one(case: str, shine: bool):
+    lights, random = CASES[case](), np.random.default_rng(8)
+    position, normal = points(random, 50)
     cell = np.sort(np.random.default_rng(9).integers(0, CELLS, 50))
-    chances = all_chances(choice_of(lights), lights, position, normal, cell)
-    assert (chances > 1e-3 / len(lights)).all()
+    shown = glossy(random, normal) if shine else None
+    chances = all_chances(choice_of(lights, shine=shine), lights, position, normal, cell, shown)
+    reaches = np.ones(chances.shape, bool)
+    if len(lights) <= WEIGHED:
+        # Where a light gives nothing it needs no chance, unless that is true of all.
+        reaches = lights.irradiance(position, normal) > 0
+        assert (chances[~reaches & reaches.any(axis=0)] == 0).all()
+        reaches |= ~reaches.any(axis=0)
+    assert (chances[reaches] > 1e-3 / len(lights)).all()
     assert np.allclose(chances.sum(axis=0), 1, atol=1e-4)
 
 

@@ -17,6 +17,7 @@ from ..scene import Laser, Scene
 from ..shading.terms import LARGEST
 from .camera_rays import CameraRays
 from .emitters import Emitters
+from .highlights import Highlights
 from .media import Media
 from .surface_shading import LobeGatherer, Slot, SurfaceShader
 
@@ -62,6 +63,7 @@ class CameraHits:
     first : (M + 1,) where the points of each of M rays begin; None if each of the M has but one.
     crossings : rays that went on behind transparent surfaces.
     throughput : (3, P) what fog leaves of the light from the points; None for all. Slots have it already.
+    highlights : of the points, once they are asked for; None as well if they are not glossy.
     """
 
     values: np.ndarray
@@ -72,6 +74,7 @@ class CameraHits:
     first: np.ndarray | None = None
     crossings: int = 0
     throughput: np.ndarray | None = None
+    highlights: Highlights | None = None
 
     @property
     def lane(self) -> np.ndarray | None:

@@ -21,7 +21,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ..bsdf.diffuse import Lambert
+from ..bsdf.diffuse import DiffuseTransmission, Lambert
 from ..geometry.frame import frame_of
 from ..geometry.surfaces import NONE_CAST, SurfacePoints, Surfaces
 from ..geometry.triangles import gather_triangles
@@ -31,6 +31,7 @@ from ..shading.terms import LARGEST
 from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
 from .glow_on_surfaces import GlowDirections
+from .highlights import Highlights
 from .light_choice import (
     CELL,
     WEIGHED,
@@ -46,7 +47,7 @@ from .light_samples import LightSamples, SceneLights
 from .links import Links, blockers_of, linked_emitters, linked_to_some_fogs
 from .media import Media
 from .shadows import Shadows
-from .surface_shading import Slot, SurfaceShader
+from .surface_shading import LobeGatherer, Slot, SurfaceShader
 
 CAMERA, SHADOW, BSDF, CROSSING = "camera rays", "shadow rays", "BSDF rays", "transparent crossings"
 """Kinds of rays: into the scene, to sampled lights, along directions that lobes sampled, and on behind
@@ -211,12 +212,29 @@ class DirectLight:
         found.reshape(-1)[lanes] = True
         position.reshape(3, -1)[:, lanes] = points.position
         normal.reshape(3, -1)[:, lanes] = points.normal
+        highlights = self._highlights_of_pilots(points, directions, found.size)
         links = self.lights.links
         if links.all_lit:
-            return clusters_of_cells(self.lights, position, normal, found, between)
+            return clusters_of_cells(self.lights, position, normal, found, between, highlights=highlights)
         kind = np.zeros(found.shape, np.intp)
         kind.reshape(-1)[lanes] = links.kind(points.triangle)
-        return clusters_of_cells(self.lights, position, normal, found, between, kind, links.kinds)
+        return clusters_of_cells(self.lights, position, normal, found, between, kind, links.kinds, highlights)
+
+    def _highlights_of_pilots(
+        self, points: SurfacePoints, directions: np.ndarray, count: int
+    ) -> Highlights | None:
+        """Of what ``count`` pilot rays along ``directions`` see first, at ``points`` (M,)."""
+        if self.shader.lambertian or len(points) == 0:
+            return None
+        lane = np.arange(count) if points.lane is None else points.lane
+        if len(directions) > 1:
+            directions = directions.take(lane, axis=0)
+        viewer = np.broadcast_to(-directions.T, (3, len(lane)))
+        gatherer = LobeGatherer()
+        for rows, terms in self.shader.terms(points, viewer):
+            lobes = [lobe for lobe in terms.lobes if not isinstance(lobe, DiffuseTransmission)]
+            gatherer.add(lane if rows is None else lane.take(rows), lobes, None)
+        return Highlights.of(gatherer.slots(None, count), count)
 
     # -- the two stages ----------------------------------------------------------------------------
 
@@ -287,7 +305,8 @@ class DirectLight:
     def _lights_reflected(self, hits, at, u, choice, split) -> list[Reflected]:
         if len(self.lights) == 0:
             return []
-        samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split)
+        highlights = self._highlights(hits, choice)
+        samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split, highlights)
         if hits.slots is None:
             return [self._reflect_lambertian(hits, samples)]
         parts = [self._reflect(hits, samples)]
@@ -297,6 +316,14 @@ class DirectLight:
                 self._sample_lobe(hits, slot, at, u[:2], choice) for slot in hits.slots if self._samples(slot)
             ]
         return parts
+
+    @staticmethod
+    def _highlights(hits: CameraHits, choice: LightChoice | EveryLight | None) -> Highlights | None:
+        if choice is None or isinstance(choice, EveryLight):
+            return None
+        if hits.highlights is None and hits.slots is not None:
+            hits.highlights = Highlights.of(hits.slots, len(hits.points))
+        return hits.highlights
 
     def _samples(self, slot: Slot) -> bool:
         """Whether directions are sampled by the lobe, too."""
@@ -372,8 +399,8 @@ class DirectLight:
         value, pdf = slot.lobe.evaluate(row.take(samples.which), direction)
         if self.sampling == "mis":
             if choice is not None and not isinstance(choice, EveryLight):
-                cell = None if hits.cell is None else hits.cell.take(samples.at)
-                density = density * self.lights.chance(points, samples, choice, cell)
+                highlights = self._highlights(hits, choice)
+                density = density * self.lights.chance(points, samples, choice, hits.cell, highlights)
             value *= _power(pdf, density)
         value *= radiance
         value /= np.maximum(pdf, np.float32(1e-37))

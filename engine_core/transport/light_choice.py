@@ -2,13 +2,14 @@
 """Which light a sample goes to.
 
 A light is chosen in proportion to a quick estimate of the unshadowed irradiance that it gives the
-shaded point itself. Where the lights are too many for that, the picture is parted into cells, aligned
-to the whole frame; pilot rays through each cell, whose points come from the cell alone and which do
-not enter the picture, find a few lights that stand for all (in the spirit of LightSlice: J. Ou and
-F. Pellacini, 2011). Those are weighed at every point; each other light goes with the one whose
-light falls over the cell as its own does, or with those that are as good as constant there. So the
-cost of a sample hardly depends on the number of lights. A part of the chances is the same for all
-lights, so that none is ever missed: the estimate is unbiased whatever the estimates are.
+shaded point itself, and of how much of that a glossy surface reflects (`highlights`). Where the lights
+are too many for that, the picture is parted into cells, aligned to the whole frame; pilot rays through
+each cell, whose points come from the cell alone and which do not enter the picture, find a few lights
+that stand for all (in the spirit of LightSlice: J. Ou and F. Pellacini, 2011). Those are weighed at
+every point; each other light goes with the one whose light falls over the cell as its own does, or with
+those that are as good as constant there. So the cost of a sample hardly depends on the number of lights.
+A part of the chances is the same for all lights, but for those that surely give a point nothing, so that
+none is ever missed: the estimate is unbiased whatever the estimates are.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ..geometry.vectors import take
+from ..geometry.vectors import inverse_length, take
 from ..integration.sobol import hash_combine, unit_float
-from .emitters import Emitters
+from .emitters import Emitters, SunEmitters
+from .highlights import Highlights
 
 CELL = 32
 """Edge of a cell in pixels."""
@@ -67,11 +69,13 @@ class LightChoice(Protocol):
         cell: np.ndarray | None,
         w: np.ndarray,
         kind: np.ndarray | None = None,
+        highlights: Highlights | None = None,
     ) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` stretched over the chosen interval.
 
         position, normal : (3, M). cell : (M,). w : (M, S) uniform in (0, 1).
         kind : (M,) of the points, by what lights are linked to them (`Links.kinds`); None if they all are.
+        highlights : of the points; None if they are not glossy.
         """
         ...
 
@@ -82,6 +86,7 @@ class LightChoice(Protocol):
         normal: np.ndarray,
         cell: np.ndarray | None,
         kind: np.ndarray | None = None,
+        highlights: Highlights | None = None,
     ) -> np.ndarray:
         """(N,) probabilities with which `choose` takes ``light`` (N,) at points (3, N) of ``cell`` (N,)."""
         ...
@@ -101,8 +106,31 @@ class Lights:
             if not group.at_infinity:
                 self.centre[:, start:stop], self.reach[start:stop] = group.centre, group.reach
 
+        # Where they are, and as seen from points: of those at infinity, in which direction and how wide.
+        finite = np.isfinite(self.reach)
+        self._middle, self._width = self.centre.astype(np.float32), np.where(finite, self.reach, 1)
+        around = ~finite
+        for group, start, stop in zip(self.groups, self.first[:-1], self.first[1:], strict=True):
+            if isinstance(group, SunEmitters):
+                self._middle[:, start:stop], self._width[start:stop] = group.axis, group.sine
+                around[start:stop] = False
+        self._width = self._width.astype(np.float32)
+        self._finite, self._around = finite.astype(np.float32), around
+
     def __len__(self) -> int:
         return int(self.first[-1])
+
+    def directions(
+        self, position: np.ndarray, which: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `Highlights.preference` takes them: of all lights, or of ``which`` (L',), at points (3, M)."""
+        which = slice(None) if which is None else which
+        finite = self._finite[which, None]
+        direction = self._middle[:, which, None] - finite * position[:, None, :]
+        inverse = inverse_length(direction.reshape(3, -1)).reshape(direction.shape[1:])
+        direction *= inverse
+        spread = self._width[which, None] * np.where(finite > 0, inverse, 1)
+        return direction, np.float32(0.5) * np.minimum(spread, 1), np.flatnonzero(self._around[which])
 
     def irradiance(
         self, position: np.ndarray, normal: np.ndarray, which: np.ndarray | None = None
@@ -136,32 +164,43 @@ class EveryLight:
 class WeighedLights:
     """Every light that is linked to a point weighed there."""
 
-    def __init__(self, lights: Lights, kinds: np.ndarray | None = None) -> None:
-        """kinds : (L, C) bool, which lights are linked to points of a kind."""
-        self._lights, self._kinds = lights, kinds
+    def __init__(self, lights: Lights, kinds: np.ndarray | None = None, sure: bool = True) -> None:
+        """kinds : (L, C) bool, which lights are linked to points of a kind.
+
+        sure : whether lights that are estimated to give none give none, and need no chance.
+        """
+        self._lights, self._kinds, self._sure = lights, kinds, sure
         self._number = np.ones(len(lights), np.float32)
 
-    def choose(self, position, normal, cell, w, kind=None) -> Choice:
+    def choose(self, position, normal, cell, w, kind=None, highlights=None) -> Choice:
         parts = []
         for part in _chunks(0, len(w), len(self._lights)):
-            slots = self._slots(position, normal, kind, part)
+            slots = self._slots(position, normal, kind, highlights, part)
             parts.append(slots.pick(w[part])[:3])
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell, kind=None) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, kind=None, highlights=None) -> np.ndarray:
         result = np.empty(len(light), np.float32)
         for part in _chunks(0, len(light), len(self._lights)):
-            slots = self._slots(position, normal, kind, part)
+            slots = self._slots(position, normal, kind, highlights, part)
             result[part] = slots.chosen(slots.weight, light[part]) / slots.upper[-1]
         return result
 
     def _slots(
-        self, position: np.ndarray, normal: np.ndarray, kind: np.ndarray | None, part: slice
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        kind: np.ndarray | None,
+        highlights: Highlights | None,
+        part: slice,
     ) -> _Slots:
         irradiance = self._lights.irradiance(position[:, part], normal[:, part])
         if kind is not None:
             irradiance *= self._kinds.take(kind[part], axis=1)
-        return _Slots(irradiance, self._number)
+        if highlights is not None:
+            directions = self._lights.directions(position[:, part])
+            irradiance *= highlights.take(part).preference(irradiance, *directions)
+        return _Slots(irradiance, self._number, self._sure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,27 +342,29 @@ class CandidateLights:
         self._lights, self._kinds = lights, kinds
         self._clusters = clusters
 
-    def choose(self, position, normal, cell, w, kind=None) -> Choice:
+    def choose(self, position, normal, cell, w, kind=None, highlights=None) -> Choice:
         if kind is not None:
             cell = cell * self._kinds + kind
         parts = [
-            self._choose(position[:, part], normal[:, part], clusters, w[part])
+            self._choose(position[:, part], normal[:, part], clusters, _some(highlights, part), w[part])
             for part, clusters in self._parts(cell)
         ]
         return _joined(parts)
 
-    def pdf(self, light, position, normal, cell, kind=None) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, kind=None, highlights=None) -> np.ndarray:
         if kind is not None:
             cell = cell * self._kinds + kind
         result = np.empty(len(light), np.float32)
         if (np.diff(cell) < 0).any():
             order = np.argsort(cell, kind="stable")
             position, normal = take(position, order), take(normal, order)
-            result[order] = self.pdf(light.take(order), position, normal, cell.take(order))
+            result[order] = self.pdf(
+                light.take(order), position, normal, cell.take(order), None, _some(highlights, order)
+            )
             return result
         for part, clusters in self._parts(cell):
             slot, share = clusters.slot.take(light[part]), clusters.share.take(light[part])
-            slots, own = self._slots(position[:, part], normal[:, part], clusters)
+            slots, own = self._slots(position[:, part], normal[:, part], clusters, _some(highlights, part))
             whole, first = slots.chosen(slots.weight, slot), slots.chosen(own, slot)
             result[part] = np.where(share > 0, (whole - first) * share, first) / slots.upper[-1]
         return result
@@ -336,11 +377,16 @@ class CandidateLights:
             for part in _chunks(first, stop, len(clusters.number)):
                 yield part, clusters
 
-    def _slots(self, position: np.ndarray, normal: np.ndarray, c: Clusters) -> tuple[_Slots, np.ndarray]:
+    def _slots(
+        self, position: np.ndarray, normal: np.ndarray, c: Clusters, highlights: Highlights | None
+    ) -> tuple[_Slots, np.ndarray]:
         """The slots, and of each (slots, M) the candidate's own part of its weight."""
         count = len(c.candidates)
         own = np.zeros((len(c.number), position.shape[1]), np.float32)
         own[:count] = self._lights.irradiance(position, normal, c.candidates)
+        if highlights is not None:
+            directions = self._lights.directions(position, c.candidates)
+            own[:count] *= highlights.preference(own[:count], *directions)
         weight = np.empty_like(own)
         others = weight[:count]
         np.multiply(own[:count], c.inverse[:, None], out=others)
@@ -359,8 +405,15 @@ class CandidateLights:
         own[alone] = weight[alone]
         return slots, own
 
-    def _choose(self, position: np.ndarray, normal: np.ndarray, c: Clusters, w: np.ndarray) -> Choice:
-        slots, own = self._slots(position, normal, c)
+    def _choose(
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        c: Clusters,
+        highlights: Highlights | None,
+        w: np.ndarray,
+    ) -> Choice:
+        slots, own = self._slots(position, normal, c, highlights)
         slot, chance, w, at = slots.pick(w)
         # The candidate comes first in its slot.
         first = own.reshape(-1).take(at)
@@ -388,15 +441,21 @@ class _Slots:
     weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides.
     """
 
-    def __init__(self, weight: np.ndarray, number: np.ndarray) -> None:
-        """weight : (K, M), is overwritten. number : (K,) float32, lights in each slot."""
+    def __init__(self, weight: np.ndarray, number: np.ndarray, sure: bool = False) -> None:
+        """weight : (K, M), is overwritten. number : (K,) float32, lights in each slot.
+
+        sure : whether slots of no weight need no chance, as long as there is another.
+        """
         total = weight.sum(axis=0)
         alike = total * (_ALIKE / ((1 - _ALIKE) * number.sum()))
         self.alike = np.where(total > np.float32(1e-30), alike, np.float32(1))
         self.weight, self.upper = weight, np.empty_like(weight)
         part = np.empty_like(total)
+        dark = total <= np.float32(1e-30)
         for k, many in enumerate(number):
             np.multiply(self.alike, many, out=part)
+            if sure:
+                part *= (weight[k] > 0) | dark
             weight[k] += part
             np.add(self.upper[k - 1] if k else np.float32(0), weight[k], out=self.upper[k])
 
@@ -423,6 +482,10 @@ class _Slots:
     def chosen(weight: np.ndarray, slot: np.ndarray) -> np.ndarray:
         """(M,) of ``weight`` (K, M) what is in one slot (M,) at each point."""
         return weight.reshape(-1).take(slot * len(slot) + np.arange(len(slot)))
+
+
+def _some(highlights: Highlights | None, rows: np.ndarray | slice) -> Highlights | None:
+    return None if highlights is None else highlights.take(rows)
 
 
 def _chunks(start: int, stop: int, rows: int) -> Iterator[slice]:
@@ -455,6 +518,7 @@ def clusters_of_cells(
     between: Callable[[], None] = lambda: None,
     kind: np.ndarray | None = None,
     kinds: np.ndarray | None = None,
+    highlights: Highlights | None = None,
 ) -> list[Clusters]:
     """The clusters of lights in K cells, from what pilots see there.
 
@@ -462,15 +526,16 @@ def clusters_of_cells(
     between : called now and then; may raise, to give up.
     kind : (K, P) of pilots by what is linked to them, kinds : (L, C) as of `Links`: for each cell there are
         clusters for each of the C kinds then; None if all lights are linked to all.
+    highlights : of the K * P pilots; None if they are not glossy.
     """
     position, normal, weight = _with_missed(position, normal, found)
     if kind is None:
-        return weighed_clusters(lights, position, normal, weight, between)
+        return weighed_clusters(lights, position, normal, weight, between, None, highlights)
     parts = []
     for number, lit in enumerate(kinds.T):
         own = weight.copy()
         own[:, : kind.shape[1]] *= np.where(kind == number, 1, np.float32(_MISSED_WEIGHT))
-        parts.append(weighed_clusters(lights, position, normal, own, between, lit))
+        parts.append(weighed_clusters(lights, position, normal, own, between, lit, highlights))
     return [clusters for of_cell in zip(*parts, strict=True) for clusters in of_cell]
 
 
@@ -481,12 +546,15 @@ def weighed_clusters(
     weight: np.ndarray,
     between: Callable[[], None] = lambda: None,
     lit: np.ndarray | None = None,
+    highlights: Highlights | None = None,
 ) -> list[Clusters]:
     """The clusters of lights in K cells, from pilots (3, K, P) of some weight (K, P) each.
 
     lit : (L,) bool, which lights are linked to the points that these are for; None if all are.
+    highlights : of the first pilots of each cell, in the order of cells; None if they are not glossy.
     """
     cells, pilots = weight.shape
+    glossy = 0 if highlights is None else len(highlights.diffuse) // cells
     step = max(1, 8 * _CHUNK // (len(lights) * pilots))
     result = []
     # Nothing is summed over more than one cell, so that a cell's distribution is the same whatever other
@@ -498,6 +566,12 @@ def weighed_clusters(
         estimate = lights.irradiance(*where).reshape(len(lights), -1, pilots)
         if lit is not None:
             estimate *= lit[:, None, None]
+        if glossy:
+            some = estimate[:, :, :glossy].reshape(len(lights), -1)
+            here = highlights.take(slice(start * glossy, start * glossy + some.shape[1]))
+            directions = lights.directions(position[:, part, :glossy].reshape(3, -1))
+            some *= here.preference(some, *directions)
+            estimate[:, :, :glossy] = some.reshape(len(lights), -1, glossy)
         result += _clusters(np.ascontiguousarray(estimate.swapaxes(0, 1)), weight[part])
     return result if lit is None else [replace(c, lit=lit.take(c.candidates)) for c in result]
 

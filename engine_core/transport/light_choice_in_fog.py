@@ -298,7 +298,9 @@ class FogChoice:
     ) -> None:
         """clusters : of each of ``cells``, by `fog_clusters`; None for at most `WEIGHED` lights."""
         self._lights, self.cells = lights, cells
-        self._choice = WeighedLights(lights) if clusters is None else CandidateLights(lights, clusters)
+        self._choice = (
+            WeighedLights(lights, sure=False) if clusters is None else CandidateLights(lights, clusters)
+        )
 
     def choose(self, where: RaySegments, cell: np.ndarray | None, w: np.ndarray) -> Choice:
         """Lights (M * S,), their probabilities, and ``w`` (M, S) stretched over what was chosen.

@@ -13,6 +13,7 @@ from ..geometry.surfaces import SurfacePoints
 from ..geometry.triangles import Triangles
 from ..geometry.vectors import dot, take
 from .emitters import Emitters
+from .highlights import Highlights
 from .light_choice import EveryLight, LightChoice, Lights
 from .links import Links
 from .surface_shading import SurfaceShader
@@ -109,17 +110,19 @@ class SceneLights(Lights):
         u: np.ndarray,
         choice: LightChoice | EveryLight | None,
         split: int,
+        highlights: Highlights | None = None,
     ) -> LightSamples:
         """Samples for points ``at`` (K,) (None for all in order), ``split`` in a row at each.
 
         cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a piece of it.
+        highlights : of the points; None if they are not glossy.
         """
-        samples = self._sample(points, cell, at, u, choice, split)
+        samples = self._sample(points, cell, at, u, choice, split, highlights)
         if not self.links.all_lit:
             samples.weight *= self.links.lit(samples.light, points.triangle.take(samples.at))
         return samples
 
-    def _sample(self, points, cell, at, u, choice, split) -> LightSamples:
+    def _sample(self, points, cell, at, u, choice, split, highlights) -> LightSamples:
         if len(self) == 1:
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
             # Only a mesh has a use for the third, its choice of a piece.
@@ -148,8 +151,9 @@ class SceneLights(Lights):
             kind = None if self.links.all_lit else self.links.kind(points.triangle)
             if rows is not None and (split == 1 or len(rows) < len(points)):
                 position, normal = take(position, rows), take(normal, rows)
-                cell, kind = (x if x is None else x.take(rows) for x in (cell, kind))
-            light, chance, w = choice.choose(position, normal, cell, u[2].reshape(-1, split), kind)
+                cell, kind, highlights = (x if x is None else x.take(rows) for x in (cell, kind, highlights))
+            w = u[2].reshape(-1, split)
+            light, chance, w = choice.choose(position, normal, cell, w, kind, highlights)
             # Side by side, samples of one light run through the same code and towards the same place.
             order = np.argsort(light.astype(self._number), kind="stable")
             light, chance, w = light.take(order), chance.take(order), w.take(order)
@@ -293,12 +297,22 @@ class SceneLights(Lights):
         return density
 
     def chance(
-        self, points: SurfacePoints, samples: LightSamples, choice: LightChoice, cell: np.ndarray | None
+        self,
+        points: SurfacePoints,
+        samples: LightSamples,
+        choice: LightChoice,
+        cell: np.ndarray | None,
+        highlights: Highlights | None,
     ) -> np.ndarray:
-        """(K,) probability with which a choice takes the lights of samples; cell (K,) of their points."""
+        """(K,) probability with which a choice takes the lights of samples.
+
+        cell : of the points, and their highlights, as in `sample`.
+        """
+        cell = None if cell is None else cell.take(samples.at)
+        highlights = None if highlights is None else highlights.take(samples.at)
         position, normal = take(points.position, samples.at), take(points.normal, samples.at)
         kind = None if self.links.all_lit else self.links.kind(points.triangle.take(samples.at))
-        return choice.pdf(samples.light, position, normal, cell, kind)
+        return choice.pdf(samples.light, position, normal, cell, kind, highlights)
 
     # -- met ---------------------------------------------------------------------------------------
 

@@ -120,11 +120,33 @@ class Lights:
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def directions(
-        self, position: np.ndarray, which: np.ndarray | None = None
+    def prefer(
+        self,
+        irradiance: np.ndarray,
+        position: np.ndarray,
+        highlights: Highlights,
+        which: np.ndarray | None = None,
+    ) -> None:
+        """Weighs irradiance (L', M), as `irradiance` estimates it, by what points (3, M) reflect of it."""
+        # Where one light reaches a point, or none, there is no choice. Cones leave few lights to a place.
+        rows = np.flatnonzero(irradiance.any(axis=1))
+        lanes = np.flatnonzero((irradiance > 0).sum(axis=0) > 1)
+        if lanes.size == 0:
+            return
+        if lanes.size < irradiance.shape[1]:
+            position, highlights = take(position, lanes), highlights.take(lanes)
+        some = irradiance
+        if (len(rows), len(lanes)) != irradiance.shape:
+            some = irradiance[rows[:, None], lanes]
+        which = rows if which is None else which.take(rows)
+        some *= highlights.preference(some, *self._directions(position, which))
+        if some is not irradiance:
+            irradiance[rows[:, None], lanes] = some
+
+    def _directions(
+        self, position: np.ndarray, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `Highlights.preference` takes them: of all lights, or of ``which`` (L',), at points (3, M)."""
-        which = slice(None) if which is None else which
+        """As `Highlights.preference` takes them: of lights ``which`` (L',) at points (3, M)."""
         finite = self._finite[which, None]
         direction = self._middle[:, which, None] - finite * position[:, None, :]
         inverse = inverse_length(direction.reshape(3, -1)).reshape(direction.shape[1:])
@@ -198,8 +220,7 @@ class WeighedLights:
         if kind is not None:
             irradiance *= self._kinds.take(kind[part], axis=1)
         if highlights is not None:
-            directions = self._lights.directions(position[:, part])
-            irradiance *= highlights.take(part).preference(irradiance, *directions)
+            self._lights.prefer(irradiance, position[:, part], highlights.take(part))
         return _Slots(irradiance, self._number, self._sure)
 
 
@@ -385,8 +406,7 @@ class CandidateLights:
         own = np.zeros((len(c.number), position.shape[1]), np.float32)
         own[:count] = self._lights.irradiance(position, normal, c.candidates)
         if highlights is not None:
-            directions = self._lights.directions(position, c.candidates)
-            own[:count] *= highlights.preference(own[:count], *directions)
+            self._lights.prefer(own[:count], position, highlights, c.candidates)
         weight = np.empty_like(own)
         others = weight[:count]
         np.multiply(own[:count], c.inverse[:, None], out=others)
@@ -569,8 +589,7 @@ def weighed_clusters(
         if glossy:
             some = estimate[:, :, :glossy].reshape(len(lights), -1)
             here = highlights.take(slice(start * glossy, start * glossy + some.shape[1]))
-            directions = lights.directions(position[:, part, :glossy].reshape(3, -1))
-            some *= here.preference(some, *directions)
+            lights.prefer(some, position[:, part, :glossy].reshape(3, -1), here)
             estimate[:, :, :glossy] = some.reshape(len(lights), -1, glossy)
         result += _clusters(np.ascontiguousarray(estimate.swapaxes(0, 1)), weight[part])
     return result if lit is None else [replace(c, lit=lit.take(c.candidates)) for c in result]

@@ -318,16 +318,26 @@ def test_all_clusters_of_a_mesh_together_are_the_mesh():
     assert total == pytest.approx(truth, abs=4 * variance**0.5, rel=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["point", "sphere", "disk", "spot", "area", "sun", "mesh", "world"])
+SPOTS = {
+    "spot": ((0.3, 0, 0), 1.0, {"angle": 1.0, "radius": 0.3}),
+    "spot scaled along its axis": ((0, 0, 0), (1, 1, 10), {"angle": 0.8, "radius": 0.2}),
+    "spot of half the width": ((0, 0, 0), (0.3, 1, 1), {"angle": 0.8, "radius": 0.2, "blend": 0.0}),
+    "spot of a large disk": ((0, 0, 0), 1.0, {"angle": 0.8, "radius": 1.0, "sphere": False, "blend": 0.0}),
+    "wide spot": ((0, 0, 0), 1.0, {"angle": 2.3, "radius": 1.0, "blend": 0.0}),
+}
+
+
+@pytest.mark.parametrize("kind", ["point", "sphere", "disk", *SPOTS, "area", "sun", "mesh", "world"])
 def test_estimate_for_choosing_is_positive_wherever_the_light_may_reach(kind: str):
     lights = {
         "point": PointLight(1.0, position=(0, 0, 1)),
         "sphere": PointLight(1.0, position=(0, 0, 1), radius=0.7),
         "disk": PointLight(1.0, position=(0, 0, 1), radius=0.7, sphere=False),
-        "spot": SpotLight(1.0, light_to_world=place((0, 0, 1), (0.3, 0, 0)), radius=0.3, angle=1.0),
         "area": AreaLight(1.0, light_to_world=place((0, 0, 1), (0.3, 0.2, 0)), size=(2, 0.5)),
         "sun": SunLight(1.0, direction=(0.2, 0.1, -1), angle=1.0),
     }
+    for name, (turn, scale, fields) in SPOTS.items():
+        lights[name] = SpotLight(1.0, light_to_world=place((0, 0, 1), turn, scale), **fields)
     meshes = [Mesh(np.eye(3) + (0, 0, 1), [[0, 1, 2]])] if kind == "mesh" else []
     triangles, _ = gather_triangles(meshes, FRAME)
     (group,), _ = emitter_groups(

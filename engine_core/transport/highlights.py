@@ -21,7 +21,7 @@ BY_IRRADIANCE = np.float32(0.25)
 """The part of all chances that knows no lobes: what a surface mirrors may be hidden from it."""
 
 _GRAZING = np.float32(1e-3)
-"""The least cosine to a light, so that none is without a chance."""
+"""The least cosine to a light: the BRDF is finite."""
 
 _INV_PI = np.float32(1 / np.pi)
 
@@ -92,10 +92,11 @@ class _Glossy:
 
 @dataclass(eq=False)
 class Highlights:
-    """What M points reflect: diffuse (M,) a BRDF, and glossy lobes."""
+    """What M points reflect: diffuse (M,) a BRDF, and glossy lobes. shiny : (M,) bool, which have one."""
 
     diffuse: np.ndarray
     glossy: list[_Glossy]
+    shiny: np.ndarray
 
     @staticmethod
     def of(slots: Sequence[Slot] | None, count: int) -> Highlights | None:
@@ -116,10 +117,10 @@ class Highlights:
                 lobe = lobe.take(np.maximum(slot.row, 0))
                 lobe.strength *= has
             glossy.append(lobe)
-        return Highlights(diffuse, glossy)
+        return Highlights(diffuse, glossy, np.any([lobe.strength > 0 for lobe in glossy], axis=0))
 
     def take(self, rows: np.ndarray | slice) -> Highlights:
-        return Highlights(self.diffuse[rows], [lobe.take(rows) for lobe in self.glossy])
+        return Highlights(self.diffuse[rows], [lobe.take(rows) for lobe in self.glossy], self.shiny[rows])
 
     def preference(
         self, irradiance: np.ndarray, direction: np.ndarray, spread: np.ndarray, around: np.ndarray
@@ -135,12 +136,15 @@ class Highlights:
             lobe.add_to(brdf, direction, spread)
         if around.size:
             brdf[around] = self.diffuse + sum(lobe.strength for lobe in self.glossy) * _INV_PI
-        total = np.einsum("lm,lm->m", irradiance, brdf)
-        scale = np.einsum("lm->m", irradiance)
-        scale *= 1 - BY_IRRADIANCE
+        # Row by row, so that the sums of a point are the same in any company.
+        total, scale = np.zeros((2, brdf.shape[1]), np.float32)
+        for light, part in zip(irradiance, brdf, strict=True):
+            total += light * part
+            scale += light
         known = (total > np.float32(1e-30)) & (total < np.float32(1e30))
         scale /= np.where(known, total, 1)
-        brdf *= scale
+        known &= scale < np.float32(1e30)
+        brdf *= np.where(known, (1 - BY_IRRADIANCE) * scale, 0)
         brdf += BY_IRRADIANCE
         if not known.all():
             brdf[:, ~known] = 1

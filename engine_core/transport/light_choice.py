@@ -8,7 +8,7 @@ each cell, whose points come from the cell alone and which do not enter the pict
 that stand for all (in the spirit of LightSlice: J. Ou and F. Pellacini, 2011). Those are weighed at
 every point; each other light goes with the one whose light falls over the cell as its own does, or with
 those that are as good as constant there. So the cost of a sample hardly depends on the number of lights.
-A part of the chances is the same for all lights, but for those that surely give a point nothing, so that
+A part of the chances is the same for all lights, less for those that should give a point nothing, so that
 none is ever missed: the estimate is unbiased whatever the estimates are.
 """
 
@@ -42,6 +42,9 @@ TOLERANCE = 0.05
 
 _ALIKE = np.float32(0.05)
 """The part of the chances that all lights have alike."""
+
+_UNLIKELY = np.float32(0.1)
+"""What a light has of that where its irradiance was weighed and is none."""
 
 _ALIKE_OF_CLUSTER = 0.1
 """The part of the chances of a cluster that its lights have alike."""
@@ -130,7 +133,7 @@ class Lights:
         """Weighs irradiance (L', M), as `irradiance` estimates it, by what points (3, M) reflect of it."""
         # Where one light reaches a point, or none, there is no choice. Cones leave few lights to a place.
         rows = np.flatnonzero(irradiance.any(axis=1))
-        lanes = np.flatnonzero((irradiance > 0).sum(axis=0) > 1)
+        lanes = np.flatnonzero(((irradiance > 0).sum(axis=0) > 1) & highlights.shiny)
         if lanes.size == 0:
             return
         if lanes.size < irradiance.shape[1]:
@@ -186,12 +189,14 @@ class EveryLight:
 class WeighedLights:
     """Every light that is linked to a point weighed there."""
 
-    def __init__(self, lights: Lights, kinds: np.ndarray | None = None, sure: bool = True) -> None:
+    def __init__(
+        self, lights: Lights, kinds: np.ndarray | None = None, unlikely: np.float32 = _UNLIKELY
+    ) -> None:
         """kinds : (L, C) bool, which lights are linked to points of a kind.
 
-        sure : whether lights that are estimated to give none give none, and need no chance.
+        unlikely : what lights whose irradiance is estimated as 0 have of what all have alike.
         """
-        self._lights, self._kinds, self._sure = lights, kinds, sure
+        self._lights, self._kinds, self._unlikely = lights, kinds, unlikely
         self._number = np.ones(len(lights), np.float32)
 
     def choose(self, position, normal, cell, w, kind=None, highlights=None) -> Choice:
@@ -221,7 +226,7 @@ class WeighedLights:
             irradiance *= self._kinds.take(kind[part], axis=1)
         if highlights is not None:
             self._lights.prefer(irradiance, position[:, part], highlights.take(part))
-        return _Slots(irradiance, self._number, self._sure)
+        return _Slots(irradiance, self._number, self._unlikely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,24 +463,23 @@ class CandidateLights:
 class _Slots:
     """A distribution over K slots at M points.
 
-    weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides.
+    weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides, or a part of it.
     """
 
-    def __init__(self, weight: np.ndarray, number: np.ndarray, sure: bool = False) -> None:
+    def __init__(self, weight: np.ndarray, number: np.ndarray, unlikely: float = 1.0) -> None:
         """weight : (K, M), is overwritten. number : (K,) float32, lights in each slot.
 
-        sure : whether slots of no weight need no chance, as long as there is another.
+        unlikely : how much of ``alike`` slots of no weight have.
         """
         total = weight.sum(axis=0)
         alike = total * (_ALIKE / ((1 - _ALIKE) * number.sum()))
         self.alike = np.where(total > np.float32(1e-30), alike, np.float32(1))
         self.weight, self.upper = weight, np.empty_like(weight)
         part = np.empty_like(total)
-        dark = total <= np.float32(1e-30)
         for k, many in enumerate(number):
             np.multiply(self.alike, many, out=part)
-            if sure:
-                part *= (weight[k] > 0) | dark
+            if unlikely < 1:
+                part[weight[k] == 0] *= unlikely
             weight[k] += part
             np.add(self.upper[k - 1] if k else np.float32(0), weight[k], out=self.upper[k])
 

@@ -299,7 +299,9 @@ class FogChoice:
         """clusters : of each of ``cells``, by `fog_clusters`; None for at most `WEIGHED` lights."""
         self._lights, self.cells = lights, cells
         self._choice = (
-            WeighedLights(lights, sure=False) if clusters is None else CandidateLights(lights, clusters)
+            WeighedLights(lights, unlikely=np.float32(1))
+            if clusters is None
+            else CandidateLights(lights, clusters)
         )
 
     def choose(self, where: RaySegments, cell: np.ndarray | None, w: np.ndarray) -> Choice:

@@ -192,7 +192,8 @@ class Emitters:
     ) -> np.ndarray:
         """(L', M) quick, generous estimates of unshadowed irradiance, for choosing among the lights.
 
-        Of all lights, or of ``which`` (L',). Positive wherever a light might reach the point.
+        Of all lights, or of ``which`` (L',). Positive wherever a light might reach the point: one of 0 is
+        hardly ever sampled.
         """
         raise NotImplementedError
 

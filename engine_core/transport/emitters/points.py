@@ -26,6 +26,7 @@ class Cone:
 
     inverse : (3, 3, L) float32, rows of the maps to the lights' own spaces, whose +Z a spot shines against.
     cos, sharpness : (L,) float32 of half the cone's angle, and 1 over the width of its edge in cosines.
+    stretch : (L,) float32, by how much at most those spaces widen an angle.
     round_axis, round_cos : (3, L) and (L,) float64, round cones that hold what the scale makes of these.
     """
 
@@ -37,6 +38,7 @@ class Cone:
         self.inverse = np.zeros((3, 3, len(lights)), np.float32)
         self.cos = np.full(len(lights), -2.0, np.float32)
         self.sharpness = np.full(len(lights), 1e12, np.float32)
+        self.stretch = np.ones(len(lights), np.float32)
         self.round_axis, self.round_cos = np.zeros((3, len(lights))), np.full(len(lights), -1.0)
         for i, light in enumerate(lights):
             if spots[i]:
@@ -44,22 +46,30 @@ class Cone:
                 # A scale common to all axes changes no direction, but would underflow.
                 inverse = np.linalg.inv(matrix / np.abs(matrix).max())
                 self.inverse[:, :, i] = inverse / np.abs(inverse).max()
+                widths = np.linalg.svd(inverse, compute_uv=False)
+                self.stretch[i] = min(widths[0] / max(widths[-1], 1e-30), 1e30)
                 cos = np.cos(light.angle / 2)
                 self.cos[i] = cos
                 self.sharpness[i] = 1 / max((1 - cos) * light.blend, 1e-12)
                 whole = _round_cone(matrix / np.abs(matrix).max(), light.angle / 2)
                 self.round_axis[:, i], self.round_cos[i] = whole
 
-    def attenuation(self, which: np.ndarray | None, to_light: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """(M,) in [0, 1]: smoothstep of the cosine to the axis, in the light's own (scaled) space.
+    def attenuation(self, which: np.ndarray | None, to_light: np.ndarray) -> np.ndarray:
+        """(M,) in [0, 1]: smoothstep of the cosine to the axis, in the light's own (scaled) space."""
+        return self.edge(which, self.inside(which, to_light))
 
-        slack : added to the cosine; makes an estimate generous.
-        """
+    def inside(self, which: np.ndarray | None, to_light: np.ndarray) -> np.ndarray:
+        """(M,) by how much the cosine to the axis exceeds the cone's."""
         inverse = of(self.inverse, which)
         x, y, z = (dot(inverse[i], to_light) for i in range(3))
         # to_light points at the light: along its +Z for what the spot faces.
         cosine = z / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-30))
-        t = np.clip((cosine + slack - of(self.cos, which)) * of(self.sharpness, which), 0, 1)
+        cosine -= of(self.cos, which)
+        return cosine
+
+    def edge(self, which: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
+        """(M,) attenuation by what `inside` returns."""
+        t = np.clip(inside * of(self.sharpness, which), 0, 1)
         return t * t * (3 - 2 * t)
 
 
@@ -113,8 +123,14 @@ class _Points(Emitters):
         if self.cone.any:
             light = np.arange(len(self)) if which is None else which
             light = np.broadcast_to(light[:, None], square.shape)
-            cone = self.cone.attenuation(light, to_light, size + np.float32(1e-3))
-            estimate *= np.where(cone > 0, np.maximum(cone, np.float32(1e-3)), 0)
+            inside = self.cone.inside(light, to_light)
+            inside += np.float32(1e-3)
+            # As far as any point of the light can be off its middle, in the light's own space.
+            widest = np.float32(np.pi / 2) * self._column(self.cone.stretch, which)
+            most = np.where(size < 1, np.minimum(size * widest, 2), np.float32(2))
+            least = np.float32(1e-3) * (inside + most > 0)
+            cone = self.cone.edge(light, inside + size)
+            estimate *= np.maximum(cone, least)
         return estimate
 
 

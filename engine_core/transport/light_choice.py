@@ -463,7 +463,8 @@ class CandidateLights:
 class _Slots:
     """A distribution over K slots at M points.
 
-    weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides, or a part of it.
+    weight : (K, M), ascending sums of which are kept in ``upper``. alike : (M,) what each light has besides,
+        all of it or a part.
     """
 
     def __init__(self, weight: np.ndarray, number: np.ndarray, unlikely: float = 1.0) -> None:

@@ -50,13 +50,15 @@ class EvenChoice:
     def __init__(self, lights: int) -> None:
         self._lights = lights
 
-    def choose(self, position, normal, cell, w, kind=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def choose(
+        self, position, normal, cell, w, kind=None, highlights=None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x = w.reshape(-1) * self._lights
         light = np.minimum(x.astype(np.intp), self._lights - 1)
         chance = np.full(light.shape, 1 / self._lights, np.float32)
         return light, chance, np.clip(x - light, 0, np.float32(1 - 2.0**-24))
 
-    def pdf(self, light, position, normal, cell, kind=None) -> np.ndarray:
+    def pdf(self, light, position, normal, cell, kind=None, highlights=None) -> np.ndarray:
         return np.full(np.shape(light), 1 / self._lights, np.float32)
 
 

@@ -29,7 +29,7 @@ from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
-from .transport.light_choice import CELL
+from .transport.light_clusters import CELL
 from .transport.line_integrals import BISECTIONS
 from .transport.ray_rule import (
     ALL,

@@ -19,7 +19,8 @@ from .parts import Part
 from .scene import Camera
 from .settings import Settings
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
-from .transport.light_choice import CELL, EveryLight, LightChoice
+from .transport.light_choice import EveryLight, LightChoice
+from .transport.light_clusters import CELL
 
 PREPARED_SAMPLES = 1024
 """Samples whose points are prepared before the first pass; more are added as they are needed."""

@@ -17,16 +17,9 @@ from engine_core.geometry.frame import Frame
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.transport.emitters import emitter_groups
 from engine_core.transport.highlights import Highlights
-from engine_core.transport.light_choice import (
-    CANDIDATES,
-    TOLERANCE,
-    WEIGHED,
-    CandidateLights,
-    LightChoice,
-    Lights,
-    WeighedLights,
-    clusters_of_cells,
-)
+from engine_core.transport.light_choice import WEIGHED, CandidateLights, LightChoice, WeighedLights
+from engine_core.transport.light_clusters import CANDIDATES, TOLERANCE, clusters_of_cells
+from engine_core.transport.light_estimates import Lights
 from engine_core.transport.surface_shading import Slot
 
 SAMPLES = 100_000

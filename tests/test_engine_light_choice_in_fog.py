@@ -12,7 +12,6 @@ from scipy import integrate, stats
 from test_engine_light_choice import lights_of
 
 from engine_core import AreaLight, Light, PointLight, SpotLight
-from engine_core.transport.light_choice import CANDIDATES, CELL, Lights
 from engine_core.transport.light_choice_in_fog import (
     WEIGHED,
     AirLights,
@@ -22,6 +21,8 @@ from engine_core.transport.light_choice_in_fog import (
     fog_clusters,
     segments,
 )
+from engine_core.transport.light_clusters import CANDIDATES, CELL
+from engine_core.transport.light_estimates import Lights
 
 CELLS, START, END = 6, 0.1, 14.0
 FOGS = {"thin": (1e-3, 0.0), "a body": (0.5, 0.0), "everywhere": (0.3, 0.3), "thick": (3.0, 3.0)}

@@ -30,7 +30,7 @@ class Pixels:
     """B pixels of one tile, the integrand's bins.
 
     x, y : (B,) int, places in the whole frame.
-    cell : (B,) int, ascending, the tile's cells of `light_choice`.
+    cell : (B,) int, ascending, the tile's cells of `light_clusters`.
     """
 
     x: np.ndarray

@@ -32,17 +32,8 @@ from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
 from .emitters import emitter_groups
 from .glow_on_surfaces import GlowDirections
 from .highlights import Highlights
-from .light_choice import (
-    CELL,
-    WEIGHED,
-    CandidateLights,
-    Clusters,
-    EveryLight,
-    LightChoice,
-    WeighedLights,
-    clusters_of_cells,
-    pilot_points,
-)
+from .light_choice import WEIGHED, CandidateLights, EveryLight, LightChoice, WeighedLights
+from .light_clusters import CELL, Clusters, clusters_of_cells, pilot_points
 from .light_samples import LightSamples, SceneLights
 from .links import Links, blockers_of, linked_emitters, linked_to_some_fogs
 from .media import Media
@@ -319,6 +310,7 @@ class DirectLight:
 
     @staticmethod
     def _highlights(hits: CameraHits, choice: LightChoice | EveryLight | None) -> Highlights | None:
+        """Of hits, where a choice asks for them."""
         if choice is None or isinstance(choice, EveryLight):
             return None
         if hits.highlights is None and hits.slots is not None:

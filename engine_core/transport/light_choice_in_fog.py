@@ -9,7 +9,7 @@ scatter from a whole segment of a camera ray,
 Without extinction that is the angle that the light sees the segment under, over its distance D from the ray
 (thesis eq. 6.5); segments are cut by the cone of a spot or area light first. Of many lights few are weighed
 for every segment, those that pilot rays through a cell of the picture find to stand for all: see
-`light_choice.Clusters`.
+`light_clusters.Clusters`.
 """
 
 from __future__ import annotations
@@ -20,16 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.vectors import dot, take
-from .light_choice import (
-    _BELOW_ONE,
-    CELL,
-    CandidateLights,
-    Choice,
-    Clusters,
-    Lights,
-    WeighedLights,
-    weighed_clusters,
-)
+from .light_choice import _BELOW_ONE, CandidateLights, Choice, WeighedLights
+from .light_clusters import CELL, Clusters, weighed_clusters
+from .light_estimates import Lights
 
 WEIGHED = 8
 """How many lights are all weighed for every segment: it costs more than for a point of a surface."""

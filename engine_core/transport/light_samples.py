@@ -14,7 +14,8 @@ from ..geometry.triangles import Triangles
 from ..geometry.vectors import dot, take
 from .emitters import Emitters
 from .highlights import Highlights
-from .light_choice import EveryLight, LightChoice, Lights
+from .light_choice import EveryLight, LightChoice
+from .light_estimates import Lights
 from .links import Links
 from .surface_shading import SurfaceShader
 

@@ -30,8 +30,9 @@ from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .distance_maps import EquiAngular, within_depth
 from .emitters import DiskEmitters, PointEmitters, SphereEmitters, SunEmitters
 from .fog_rays import FogRays, Layers, in_layers, taken
-from .light_choice import CELL, WEIGHED, pilot_points
+from .light_choice import WEIGHED
 from .light_choice_in_fog import AirLights, CellsOfPicture, FogChoice, fog_clusters, segments
+from .light_clusters import CELL, pilot_points
 from .light_samples import SceneLights
 from .media import Media
 from .shadows import Shadows

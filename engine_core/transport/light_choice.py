@@ -243,7 +243,7 @@ class _Slots:
         for k, many in enumerate(number):
             np.multiply(self.alike, many, out=part)
             if unlikely < 1:
-                part[weight[k] == 0] *= unlikely
+                part *= np.maximum(weight[k] > 0, np.float32(unlikely))
             weight[k] += part
             np.add(self.upper[k - 1] if k else np.float32(0), weight[k], out=self.upper[k])
 

@@ -65,10 +65,10 @@ RAYS_OF_MANY = 20, 12, 9
 """Of more than `ALL` lights: what a node, a sample, and a sample of a pixel of no polynomial cost, in rays to
 each."""
 
-LIGHT_POINTS, FEW_LIGHT_POINTS, GLOW_POINTS = 16, 4, 32
+LIGHT_POINTS, FEW_LIGHT_POINTS, FEW_OF_MANY_LIGHTS, GLOW_POINTS = 16, 4, 8, 32
 """Of the net of lights with a size, in fog, in a picture of one sample, and where surfaces' noise is far more
-than the net's; and of that of glowing fog, whose points are in a direction and not on a light, of which they
-know where it is."""
+than the net's, if all lights are sampled and if one of many is; and of that of glowing fog, whose points
+are in a direction and not on a light, of which they know where it is."""
 
 SMALL, MOST_SMALL = 0.05, 128
 """Radius of a light over its distance of rays, of half of these at most, and of suns the sine of half their
@@ -311,7 +311,7 @@ def _of_fog(
             learn=learn,
             expected=light.unshadowed,
             chooses=choice is not None,
-            fewest=FEW_LIGHT_POINTS,
+            fewest=FEW_LIGHT_POINTS if choice is None else FEW_OF_MANY_LIGHTS,
         )
 
     def by_rays(

@@ -91,6 +91,31 @@ def areas(count: int, seed: int = 1) -> list[Light]:
     ]
 
 
+def tubes(count: int, seed: int = 1) -> list[Light]:
+    random = np.random.default_rng(seed)
+    return [
+        AreaLight(
+            random.random(),
+            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            size=(1.4, 0.1) if i % 2 else (0.1, 1.4),
+        )
+        for i in range(count)
+    ]
+
+
+def corridor(count: int) -> list[Light]:
+    """Tubes along the rays and across them in turn, below the ceiling, facing down."""
+    down = (-np.pi / 2, 0, 0)
+    return [
+        AreaLight(
+            1.0,
+            light_to_world=place((0.02, 0.06, z), down),
+            size=(0.6, 0.08) if i % 2 else (0.08, 0.6),
+        )
+        for i, z in enumerate(np.linspace(-2, -12, count))
+    ]
+
+
 def airlight(
     lights: Lights, where: RaySegments, extinction: float, leg: float, nodes: int = 200
 ) -> np.ndarray:
@@ -116,7 +141,7 @@ def airlight(
     return result
 
 
-KINDS = {"points": (points, 0.2), "spots": (spots, 0.8), "areas": (areas, 5.0)}
+KINDS = {"points": (points, 0.2), "spots": (spots, 0.8), "areas": (areas, 5.0), "tubes": (tubes, 0.3)}
 
 
 @pytest.mark.parametrize("fog", FOGS)
@@ -159,6 +184,17 @@ def test_a_light_next_to_a_ray_is_weighed_by_its_nearness():
     chance = all_chances(choice_of(lights), lights, where, np.array([3, 3, 5]))
     assert (chance.argmax(axis=0) == chosen).all()
     assert (chance.max(axis=0) > 0.6).all()
+
+
+@pytest.mark.parametrize("count", [12, 48])
+def test_rays_that_nearly_touch_tubes_choose_them(count: int):
+    lights = lights_of(corridor(count))
+    where, _ = flat(rays(30, 9))
+    truth = airlight(lights, where, 0.1, 0.0, nodes=2000)
+    chance = all_chances(FogChoice(AirLights(lights)), lights, where, np.zeros(where.place.shape[1], np.intp))
+    worth = truth / truth.sum(axis=0) / chance
+    # By what a square as large would bring, 31.
+    assert worth.max() < 5
 
 
 @pytest.mark.parametrize("count", [WEIGHED - 2, 100])

@@ -19,13 +19,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry.vectors import dot, take
+from ..geometry.vectors import dot, length, take
 from .light_choice import _BELOW_ONE, CandidateLights, Choice, WeighedLights
 from .light_clusters import CELL, Clusters, weighed_clusters
 from .light_estimates import Lights
+from .long_lights import past
 
-WEIGHED = 8
-"""How many lights are all weighed for every segment: it costs more than for a point of a surface."""
+WEIGHED = 32
+"""How many lights are all weighed for every segment."""
+
+WEIGHED_FLAT = 64
+"""The same where one is flat: two rays of a cell see those so differently that none stands for others."""
 
 # Lights x segments evaluated at once, so that the temporary arrays stay in the cache.
 _CHUNK = 1 << 15
@@ -35,7 +39,7 @@ _FAR = np.float32(1e9)
 _LARGEST = np.float32(1e30)
 
 # What part of a flat light's most intensity is expected of it at any angle.
-_LEAST = np.float32(0.02)
+_LEAST = np.float32(0.005)
 
 # How near a ray a light can be, as a part of its distance: nearer, float32 has no digits.
 _NEAREST = np.float32(1e-6)
@@ -77,6 +81,9 @@ class AirLights:
     """Lights as segments see them, in the place of `Lights` for what chooses among these.
 
     only : (L,) ascending numbers of the lights that are meant.
+    are_few : whether all are weighed for every segment.
+    core, thickness : (3, L) of what is longer than wide, half of its length, as in `long_lights`, else 0; and
+        (L,) how wide lights are, about. long : (L,) bool, whether there is a core.
     coned : (L,) bool, whether all that a light shines on is in a cone of at most a half space, which has its
     apex (3, L) behind the light, an axis (3, L), and cos (L,) of half its angle; float32.
     """
@@ -84,6 +91,7 @@ class AirLights:
     def __init__(self, lights: Lights, only: np.ndarray | None = None) -> None:
         self.only = np.arange(len(lights)) if only is None else np.asarray(only, np.intp)
         axis, cos, brightness = np.zeros((3, len(lights))), np.full(len(lights), -1.0), np.zeros(len(lights))
+        core, thickness = np.zeros((3, len(lights))), lights.reach.copy()
         flat, turns = np.zeros((2, len(lights)), bool)
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             brightness[start:stop] = group.far_fluence
@@ -91,6 +99,7 @@ class AirLights:
                 axis[:, start:stop], cos[start:stop] = group.cone_axis, group.cone_cos
             if group.is_flat:
                 flat[start:stop], self._flat_group, self._first_flat = True, group, start
+                core[:, start:stop], thickness[start:stop] = group.core, group.thickness
             if group.is_mesh:
                 turns[start:stop], self._mesh, self._first_of_mesh = True, group, start
         self._far_off = np.isinf(lights.reach.take(self.only))
@@ -106,6 +115,12 @@ class AirLights:
         self._centre, self.apex, self.axis, self.cos, self._reach = (
             np.clip(x, -most, most).astype(np.float32) for x in (centre, apex, axis, cos, reach)
         )
+        core, thickness = take(core, self.only), np.where(self._far_off, 0, thickness.take(self.only))
+        self.core, self.thickness = (np.clip(x, -most, most).astype(np.float32) for x in (core, thickness))
+        self.long = dot(self.core, self.core) > 0
+        # All of a light with a narrow spread shines on a place, or none.
+        self._beside_core = np.maximum(self._reach - np.where(self.cos > 0.1, 0, length(self.core)), 0)
+        self.are_few = len(self) <= (WEIGHED_FLAT if self._flat.any() else WEIGHED)
         self._brightness = np.minimum(brightness.take(self.only), _LARGEST).astype(np.float32)
 
     def __len__(self) -> int:
@@ -154,11 +169,18 @@ class AirLights:
     def _near(self, which, origin, direction, start, end, extinction, leg) -> np.ndarray:
         """(L', M) estimates of lights of finite distance, for unit strength."""
         to_light, foot, square = self._seen(self._centre, which, origin, direction)
-        reach = self._reach.take(which)[:, None]
+        thickness = self.thickness.take(which)[:, None]
         floor = _NEAREST * foot
         square = np.maximum(square, floor * floor)
         # A light of some size has no more to give the nearer it is.
-        square += np.maximum(reach * reach, np.float32(1e-36))
+        square += np.maximum(thickness * thickness, np.float32(1e-36))
+        long, of_nearest = np.flatnonzero(self.long.take(which)), foot
+        if long.size:
+            core, vector = take(self.core, which.take(long))[:, :, None], to_light[:, long]
+            square[long], near, along = past(core, vector, foot[long], direction[:, None, :], square[long])
+            to_light[:, long] = vector + near * core
+            of_nearest = foot.copy()
+            of_nearest[long] += near * along
         low, high = np.broadcast_to(start, foot.shape), np.broadcast_to(end, foot.shape)
         coned = np.flatnonzero(self.coned.take(which))
         if coned.size:
@@ -182,9 +204,9 @@ class AirLights:
         flat = np.flatnonzero(self._flat.take(which))
         if flat.size:
             for hump, end in zip(humps, ends, strict=True):
-                # The cone's ends are dark.
-                quarter = 0.25 * (end[flat] - low[flat])
-                t = np.clip(foot[flat], low[flat] + quarter, end[flat] - quarter)
+                # The cone's ends are dark, but where the light is nearest counts.
+                off = np.minimum(0.25 * (end[flat] - low[flat]), np.sqrt(square[flat]))
+                t = np.clip(of_nearest[flat], low[flat] + off, end[flat] - off)
                 hump[flat] *= self._falloff(which.take(flat), t * direction[:, None, :] - to_light[:, flat])
         estimate = np.maximum(*humps, out=humps[0])
         turning = np.flatnonzero(self._turns.take(which))
@@ -231,7 +253,7 @@ class AirLights:
         cosine = dot(take(self.axis, which)[:, :, None], vector)
         inverse = 1 / np.sqrt(np.maximum(dot(vector, vector), np.float32(1e-30)))
         cosine *= inverse
-        size = np.minimum(self._reach.take(which)[:, None] * inverse, 1)
+        size = np.minimum(self._beside_core.take(which)[:, None] * inverse, 1)
         cosine += size
         cosine /= 1 + size
         group = self._flat_group
@@ -289,7 +311,7 @@ class FogChoice:
         clusters: list[Clusters] | None = None,
         cells: CellsOfPicture | None = None,
     ) -> None:
-        """clusters : of each of ``cells``, by `fog_clusters`; None for at most `WEIGHED` lights."""
+        """clusters : of each of ``cells``, by `fog_clusters`; None for few lights."""
         self._lights, self.cells = lights, cells
         self._choice = (
             WeighedLights(lights, unlikely=np.float32(1))
@@ -318,6 +340,6 @@ def fog_clusters(
     where : segments (K, P), P pilots a cell. found : (K, P) bool, which of them are in fog.
     between : called now and then; may raise, to give up.
     """
-    if len(lights) <= WEIGHED:
+    if lights.are_few:
         return None
     return weighed_clusters(lights, *where, found.astype(np.float32), between)

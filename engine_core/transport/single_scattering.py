@@ -30,10 +30,10 @@ from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .distance_maps import EquiAngular, within_depth
 from .emitters import DiskEmitters, PointEmitters, SphereEmitters, SunEmitters
 from .fog_rays import FogRays, Layers, in_layers, taken
-from .light_choice import WEIGHED
 from .light_choice_in_fog import AirLights, CellsOfPicture, FogChoice, fog_clusters, segments
 from .light_clusters import CELL, pilot_points
 from .light_samples import SceneLights
+from .long_lights import past
 from .media import Media
 from .shadows import Shadows
 from .surface_shading import SurfaceShader
@@ -178,9 +178,10 @@ class SingleScattering:
         if len(only) <= EVERY:
             return None
         lights = AirLights(self.lights, only)
-        if len(only) <= WEIGHED:
+        if lights.are_few:
             return FogChoice(lights)
-        u = pilot_points(cell_x, cell_y)
+        # All over the places that a cell's clusters are used at: see `CellsOfPicture.drawn`.
+        u = 2 * pilot_points(cell_x, cell_y) - CELL // 2
         if self.screen_dimensions == 4:
             u = np.concatenate([u, np.full_like(u, 0.5)])  # the lens' middle
         rays = self._in_fog(*self.rays.rays(cell_x * CELL, cell_y * CELL, u))
@@ -290,15 +291,23 @@ class Scattered:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Feet of lights (P,) on rays (P,) from the start of segments ``row`` on, how far they are, softened
         by the lights' size, and which of them are at a finite distance."""
-        lights = self._scattering.lights
-        reach = lights.reach.take(light)
+        lights, cones = self._scattering.lights, self._scattering.cones
         direction = take(rays.direction, ray)
         vector = take(lights.centre, light) - take(rays.origin, ray)
         foot = dot(vector, direction)
         vector -= foot * direction
-        finite = np.isfinite(reach)
-        reach = np.where(finite, reach, 0)
-        return foot - rays.media.start.take(row), np.sqrt(dot(vector, vector) + reach * reach), finite
+        finite = np.isfinite(lights.reach.take(light))
+        thickness = cones.thickness.take(light).astype(np.float64)
+        square = dot(vector, vector) + thickness * thickness
+        rows = np.flatnonzero(cones.long.take(light))
+        if rows.size:
+            core, direction = take(cones.core, light.take(rows)).astype(np.float64), take(direction, rows)
+            least = np.maximum(square.take(rows), 1e-36)
+            some, near, along = past(core, take(vector, rows), np.zeros(len(rows)), direction, least)
+            # What runs beside it passes it for as long as it is.
+            square[rows] = some + along * along
+            foot[rows] += near * along
+        return foot - rays.media.start.take(row), np.sqrt(square), finite
 
     def _count(self, kind: str, number: int) -> None:
         with self._counting:

@@ -24,6 +24,11 @@ _SMALL = np.float32(0.02)
 _ELLIPSE_NEAR = np.float32(0.7)
 
 
+# Of the width of a light, how far from a ray it seems to be that passes it as near as can be: with that, what
+# its middle brings is what the light does (a strip brings 0.32, a square 0.44).
+_THICKNESS = 0.35
+
+
 class _Figures(NamedTuple):
     """Where M samples may lie: rectangles and ellipses, (3, M) or (3, 1) as seen from the shaded points.
 
@@ -103,6 +108,10 @@ class AreaEmitters(Emitters):
         self.cone_cos = np.array([1 / np.hypot(1, row[3]) for row in rows])
         # What a rectangle's corners need is enough for the ellipse within.
         self.reach = 0.5 * np.maximum(length(x + y), length(x - y))
+        # Squares of the shorter edge, moved along the longer one.
+        longer, shorter = (np.where(dot(x, x) > dot(y, y), *pair) for pair in ((x, y), (y, x)))
+        self.core = 0.5 * (1 - length(shorter) / np.maximum(length(longer), 1e-300)) * longer
+        self.thickness = _THICKNESS * length(shorter)
         if len(lights) > FEW:
             reach = 0.5 * (np.abs(x) + np.abs(y))
             self._bounds = Bounds(self._centre - reach, self._centre + reach)

@@ -61,6 +61,8 @@ class Emitters:
     centre, reach : (3, L) and (L,) float64, the spheres that hold the lights; None for lights at infinity.
     cone_axis, cone_cos : (3, L) and (L,) float64, round cones that hold what shines from points of a light;
         the cosine is at least 0, or -1 for a light that shines to all sides. None if all do.
+    core, thickness : (3, L) and (L,) float64 of flat lights: half of what they are longer than wide, and from
+        how near they bring no more.
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
     is_flat : what it sends falls with the cosine to `cone_axis`, as `falloff` says.
@@ -69,6 +71,8 @@ class Emitters:
 
     centre: np.ndarray | None = None
     reach: np.ndarray | None = None
+    core: np.ndarray | None = None
+    thickness: np.ndarray | None = None
     cone_axis: np.ndarray | None = None
     cone_cos: np.ndarray | None = None
     at_infinity = False

@@ -207,6 +207,8 @@ class NetPicture:
             self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
         )
         if noise and self._by.fewest:
+            # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole.
+            noise = noise / CELL if self._by.chooses else noise
             self._take(enough_points(rough, noise, self._by.fewest, self._by.points))
         counts = points_of_tiles(rough, self._points)
         self.noise = noise_of_points(rough, counts) / self._rounds**0.5

@@ -141,7 +141,7 @@ def airlight(
     return result
 
 
-KINDS = {"points": (points, 0.2), "spots": (spots, 0.8), "areas": (areas, 5.0), "tubes": (tubes, 0.3)}
+KINDS = {"points": (points, 0.2), "spots": (spots, 0.8), "areas": (areas, 7.0), "tubes": (tubes, 0.5)}
 
 
 @pytest.mark.parametrize("fog", FOGS)

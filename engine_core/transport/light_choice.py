@@ -235,7 +235,10 @@ class _Slots:
 
         unlikely : how much of ``alike`` slots of no weight have.
         """
-        total = weight.sum(axis=0)
+        # Row by row, as a single column would be summed otherwise.
+        total = weight[0].copy()
+        for row in weight[1:]:
+            total += row
         alike = total * (_ALIKE / ((1 - _ALIKE) * number.sum()))
         self.alike = np.where(total > np.float32(1e-30), alike, np.float32(1))
         self.weight, self.upper = weight, np.empty_like(weight)

@@ -39,7 +39,7 @@ _FAR = np.float32(1e9)
 _LARGEST = np.float32(1e30)
 
 # What part of a flat light's most intensity is expected of it at any angle.
-_LEAST = np.float32(0.005)
+_LEAST = np.float32(0.01)
 
 # How near a ray a light can be, as a part of its distance: nearer, float32 has no digits.
 _NEAREST = np.float32(1e-6)
@@ -178,7 +178,6 @@ class AirLights:
         if long.size:
             core, vector = take(self.core, which.take(long))[:, :, None], to_light[:, long]
             square[long], near, along = past(core, vector, foot[long], direction[:, None, :], square[long])
-            to_light[:, long] = vector + near * core
             of_nearest = foot.copy()
             of_nearest[long] += near * along
         low, high = np.broadcast_to(start, foot.shape), np.broadcast_to(end, foot.shape)
@@ -189,6 +188,11 @@ class AirLights:
             low[coned] = np.minimum(np.maximum(low[coned], first), _FAR)
             high[coned] = np.minimum(high[coned], last)
         high = np.maximum(high, low)
+        if long.size:
+            # What runs beside a light passes it as long as that is.
+            here, along = foot[long], np.abs(along)
+            foot = foot.copy()
+            foot[long] += np.clip(np.clip(here, low[long], high[long]) - here, -along, along)
         # By the segment's fog, from its start on, and by that of all space, from the light: the integral's
         # two humps are where it begins, and where it is nearest to the light.
         nearest = np.clip(foot, low, high)
@@ -250,6 +254,12 @@ class AirLights:
     def _falloff(self, which: np.ndarray, vector: np.ndarray) -> np.ndarray:
         """(L', M) of flat lights towards points at ``vector`` (3, L', M) from them; never quite dark."""
         number = (self.only.take(which) - self._first_flat)[:, None]
+        long = np.flatnonzero(self.long.take(which))
+        if long.size:
+            # From the place that is behind the point.
+            core, there = take(self.core, which.take(long))[:, :, None], vector[:, long]
+            there -= np.clip(dot(core, there) / dot(core, core), -1, 1) * core
+            vector[:, long] = there
         cosine = dot(take(self.axis, which)[:, :, None], vector)
         inverse = 1 / np.sqrt(np.maximum(dot(vector, vector), np.float32(1e-30)))
         cosine *= inverse

@@ -28,6 +28,9 @@ _ELLIPSE_NEAR = np.float32(0.7)
 # its middle brings is what the light does (a strip brings 0.32, a square 0.44).
 _THICKNESS = 0.35
 
+# Tangent of half a spread below which that is not so.
+_STRAIGHT = 0.5
+
 
 class _Figures(NamedTuple):
     """Where M samples may lie: rectangles and ellipses, (3, M) or (3, 1) as seen from the shaded points.
@@ -108,10 +111,17 @@ class AreaEmitters(Emitters):
         self.cone_cos = np.array([1 / np.hypot(1, row[3]) for row in rows])
         # What a rectangle's corners need is enough for the ellipse within.
         self.reach = 0.5 * np.maximum(length(x + y), length(x - y))
-        # Squares of the shorter edge, moved along the longer one.
-        longer, shorter = (np.where(dot(x, x) > dot(y, y), *pair) for pair in ((x, y), (y, x)))
-        self.core = 0.5 * (1 - length(shorter) / np.maximum(length(longer), 1e-300)) * longer
-        self.thickness = _THICKNESS * length(shorter)
+        # About squares that are moved along the longer edge.
+        longer = np.where(xx > yy, x, y)
+        longest, width = (
+            length(longer),
+            np.sqrt(np.maximum(xx * yy - xy * xy, 0)) / np.sqrt(np.maximum(xx, yy)),
+        )
+        part = 1 - width / longest
+        # What shines straight ahead is as wide as it is, from wherever it is seen.
+        narrow = self._tan_half < _STRAIGHT
+        self.core = np.where((part > 1e-3) & ~narrow, 0.5 * part, 0) * longer
+        self.thickness = np.where(narrow, self.reach, _THICKNESS * width)
         if len(lights) > FEW:
             reach = 0.5 * (np.abs(x) + np.abs(y))
             self._bounds = Bounds(self._centre - reach, self._centre + reach)

@@ -92,6 +92,11 @@ class AreaEmitters(Emitters):
         self._length = np.stack([length(self._edge_x), length(self._edge_y)])
         self._reach = 0.5 * self._length.sum(axis=0)
         sheared = np.abs(dot(self._edge_x, self._edge_y)) > 1e-4 * self._length.prod(axis=0)
+        # How far parts of a light are from its middle's plane, if it does not shine straight ahead.
+        tilt = [np.abs(dot(self._facing, edge)) for edge in (self._edge_x, self._edge_y)]
+        oblique = (tilt[0] > 1e-4 * self._length[0]) | (tilt[1] > 1e-4 * self._length[1])
+        self._tilt = np.where(oblique, 0.5 * (tilt[0] + tilt[1]), 0).astype(np.float32)
+        sheared |= oblique
         # No solid angle, and no part, for what is no rectangle.
         reach = np.where(self._ellipse, _ELLIPSE_NEAR, 1 / np.sqrt(_SMALL))
         self._large = np.where(sheared, 0, self._length.max(axis=0) * reach).astype(np.float32)
@@ -99,6 +104,9 @@ class AreaEmitters(Emitters):
         self._narrow = (self._normalise > 0) & (self._tan_half < 0.8) & ~sheared
         self._any_narrow = bool(self._narrow.any())
         self._gridded = (self._normalise > 0) & ~sheared
+        # Straight ahead, where no more is known of what a grid leaves.
+        most = np.where((self._normalise > 0) & sheared, self._normalise * self._tan_half, 1)
+        self._ahead = self._brightness * most.astype(np.float32)
         # Coordinates along the edges, which need not be perpendicular, from -1/2 to 1/2.
         x, y = self._edge_x.astype(np.float64), self._edge_y.astype(np.float64)
         xx, xy, yy = dot(x, x), dot(x, y), dot(y, y)
@@ -249,12 +257,22 @@ class AreaEmitters(Emitters):
     def irradiance(self, position, normal, which=None):
         to_light = self._column(self._centre, which) - position[:, None, :]
         reach, area = self._column(self._reach, which), self._column(self._area, which)
+        gain = self._column(self._ahead, which)
         rows = np.flatnonzero(of(self._gridded, which))
         if rows.size:
-            reach, area = (np.array(np.broadcast_to(a, to_light.shape[1:])) for a in (reach, area))
             number = rows if which is None else which.take(rows)
-            to_light[:, rows], part, reach[rows] = self._through_grid(number, to_light[:, rows], reach[rows])
-            area[rows] *= part[0]
+            if len(rows) == to_light.shape[1]:
+                share, through, reach = self._through_grid(number, to_light, reach)
+                gain, area = gain * through, area * share
+            else:
+                gain, reach, area = (
+                    np.array(np.broadcast_to(a, to_light.shape[1:])) for a in (gain, reach, area)
+                )
+                some = to_light[:, rows]
+                share, through, reach[rows] = self._through_grid(number, some, reach[rows])
+                to_light[:, rows] = some
+                gain[rows] *= through
+                area[rows] *= share
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         inverse = 1 / np.sqrt(square)
         size = np.minimum(reach * inverse, 1)
@@ -265,48 +283,54 @@ class AreaEmitters(Emitters):
         np.clip(estimate, 0, 1, out=estimate)
         # A light's own plane can't be smoothed over: what lies behind all of it stays dark.
         height = -dot(self._column(self._facing, which), to_light)
+        height += self._column(self._tilt, which)
         size *= np.float32(0.5)
         light = height * inverse
         light += size
         light /= 1 + size
         estimate *= np.clip(light, 0, 1, out=light)
         estimate *= height > np.float32(-1e-5) * reach
-        estimate *= self._column(self._brightness, which)
+        estimate *= gain
         square += area * np.float32(1 / np.pi)
         estimate /= square
-        if rows.size:
-            estimate[rows] *= part[0] * part[1]
         return estimate
 
     def _through_grid(
         self, which: np.ndarray, to_light: np.ndarray, reach: np.ndarray
-    ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """What lights ``which`` (L',) with a grid show of themselves to points (3, L', M) from their middles:
-        vectors (3, L', M) to the nearest place, the part (L', M) that is near enough to be seen and what the
-        grid leaves of that, and how far it reaches (L', M) from there.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What lights ``which`` (L',) with a grid show of themselves to points (3, L', M) from their middles,
+        which are overwritten by the vectors from there to the nearest place.
+
+        Returns the part (L', M) of a light that is near enough to be seen, that times what the grid leaves of
+        it in the mean, and how far it reaches (L', M) from the nearest place.
         """
-        edges = [self._column(edge, which) for edge in (self._edge_x, self._edge_y)]
         height = np.maximum(-dot(self._column(self._facing, which), to_light), 0)
         tan_half = self._column(self._tan_half, which)
         radius = np.minimum(height * tan_half, np.float32(1e30))
-        share, beside, within, nearest = np.float32(1), np.float32(0), np.float32(0), to_light
-        for edge, long in zip(edges, self._length, strict=True):
-            long = np.maximum(self._column(long, which), np.float32(1e-30))
-            foot = -dot(edge, to_light) / long
+        edges = [self._column(edge, which) for edge in (self._edge_x, self._edge_y)]
+        lengths = [np.maximum(self._column(long, which), np.float32(1e-30)) for long in self._length]
+        feet = [-dot(edge, to_light) / long for edge, long in zip(edges, lengths, strict=True)]
+        share, beside, within = (np.full(height.shape, start, np.float32) for start in (1, 0, 0))
+        for edge, long, foot in zip(edges, lengths, feet, strict=True):
             at = np.clip(foot, -0.5 * long, 0.5 * long)
-            beside = beside + (foot - at) ** 2
-            nearest = nearest + edge * (at / long)
             low, high = _part(foot, radius, 0.5 * long)
+            foot -= at
+            foot *= foot
+            beside += foot
+            at /= long
+            for axis in range(3):
+                to_light[axis] += edge[axis] * at
             seen = np.maximum(high - low, 0)
-            within = within + seen * seen
+            within += seen * seen
             # More than nothing, as there is light wherever the grid lets some through.
-            share = share * np.maximum(seen / long, np.float32(1e-6))
+            share *= np.maximum(seen / long, np.float32(1e-6))
         # To the nearest place, and to what is seen in the mean: of a square .38 of its edge, of a line 1/4.
         inverse = 1 / np.maximum(height, np.float32(1e-30))
         most = np.maximum(tan_half - np.float32(1 - 1e-4) * np.sqrt(beside) * inverse, 0)
         mean = tan_half - np.sqrt(beside + np.float32(0.07) * within) * inverse
         gain = np.maximum(mean, np.float32(0.1) * most) * self._column(self._normalise, which)
-        return nearest, (share, gain), 2 * np.minimum(reach, radius)
+        gain *= share
+        return share, gain, 2 * np.minimum(reach, radius)
 
     def pdf(self, which, position, normal, to_light):
         figures = self._figures(which, position)

@@ -327,6 +327,36 @@ SPOTS = {
 }
 
 
+@pytest.mark.parametrize("spread", [np.pi, 2.0, 1.0])
+@pytest.mark.parametrize("position", [(0, 0, 0.0), (-0.5, 0.2, 0.3), (-1, 0, -4)])
+def test_what_does_not_shine_straight_ahead_is_the_integral_over_its_area(
+    spread: float, position: tuple[float, ...]
+):
+    """Of cos / d^2, the cosine to its Z, near and far (by solid angle all shine straight ahead)."""
+    to_world = place((0, 0, 1), (0.3, 0.2, 0))
+    to_world[:3, 2] += 0.7 * to_world[:3, 0]
+    triangles, _ = gather_triangles([], FRAME)
+    light = AreaLight(1.0, light_to_world=to_world, size=(2, 0.5), spread=spread)
+    (group,), _ = emitter_groups([light], World(), [Material()], triangles, FRAME)
+    random, count = np.random.default_rng(3), 40_000
+    u = random.random((3, count), np.float32)
+    here = np.repeat(np.float32(position)[:, None], count, axis=1)
+    _, measure = group.sample(None, here, None, u[0], u[1:])
+
+    x, y = (a.ravel() for a in np.meshgrid(*2 * [(np.arange(1000) + 0.5) / 1000 - 0.5]))
+    across, up = 2 * to_world[:3, :1] * x, 0.5 * to_world[:3, 1:2] * y
+    vector = to_world[:3, 3:] + across + up - np.reshape(position, (3, 1))
+    square = (vector * vector).sum(axis=0)
+    cosine = np.maximum(to_world[:3, 2] @ vector / np.linalg.norm(to_world[:3, 2]) / np.sqrt(square), 1e-9)
+    truth = np.where(cosine > 1e-9, cosine, 0) / square
+    if spread < np.pi:
+        tan_half = np.tan(spread / 2)
+        tan = np.sqrt(1 - np.minimum(cosine, 1) ** 2) / cosine
+        truth *= np.maximum(tan_half - tan, 0) / (tan_half - spread / 2)
+    deviation = float(measure.std()) / count**0.5
+    assert float(measure.mean()) == pytest.approx(float(truth.mean()), abs=5 * deviation, rel=1e-4)
+
+
 AREAS = {
     "area": ((2, 0.5), {}),
     "grid": ((2, 0.5), {"spread": 0.6}),

@@ -64,12 +64,17 @@ def points(count: int, seed: int = 1) -> list[Light]:
     return [PointLight(50 * random.random() ** 3, position=random.uniform(low, high)) for _ in range(count)]
 
 
+def anywhere(random: np.random.Generator) -> np.ndarray:
+    """(4, 4) of a light in front of the rays' origin, turned any way."""
+    return place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3))
+
+
 def spots(count: int, seed: int = 1) -> list[Light]:
     random = np.random.default_rng(seed)
     return [
         SpotLight(
             random.random(),
-            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            light_to_world=anywhere(random),
             angle=random.uniform(0.4, 2.5),
             radius=0.2 * (i % 2),
         )
@@ -82,7 +87,7 @@ def areas(count: int, seed: int = 1) -> list[Light]:
     return [
         AreaLight(
             random.random(),
-            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            light_to_world=anywhere(random),
             size=(0.6, 0.3),
             ellipse=i % 3 == 0,
             spread=np.pi if i % 2 else 1.0,
@@ -96,7 +101,7 @@ def tubes(count: int, seed: int = 1) -> list[Light]:
     return [
         AreaLight(
             random.random(),
-            light_to_world=place(random.uniform((-4, -4, -12), (4, 4, -1)), random.uniform(-3, 3, 3)),
+            light_to_world=anywhere(random),
             size=(1.4, 0.1) if i % 2 else (0.1, 1.4),
         )
         for i in range(count)

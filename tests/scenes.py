@@ -523,4 +523,6 @@ def whole_pieces(triangles: Triangles, *rows: np.ndarray) -> Pieces:
     corners = triangles.vertices[triangles.indices[row]].astype(np.float64)
     weights = np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (len(row), 1, 1))
     first = np.cumsum([0, *(len(some) for some in rows)])
-    return Pieces(row.astype(np.int32), corners, weights, np.zeros(len(row), np.int8), first)
+    # All in one place, as to codes: parted in the order that they have.
+    side, code = np.zeros(len(row), np.int8), np.zeros(len(row), np.int64)
+    return Pieces(row.astype(np.int32), corners, weights, side, first, code)

@@ -66,15 +66,8 @@ class MeshEmitters(Emitters):
             (corner + third).T, normal * np.where(closed, pieces.side, 1), area_of, reach,
             np.where(closed, BACK, 1.0),
         )  # fmt: skip
-        self._patches = Patches(*of_pieces, first)
-        # One ascending table of all patches: their number + share of its area.
-        start = self._patches.start
-        patch = np.repeat(np.arange(len(start) - 1), np.diff(start))
-        self._patch_of = patch
-        of_patch = np.bincount(patch, area_of, minlength=len(start) - 1)
-        share = np.append(0, np.cumsum(area_of / np.maximum(of_patch[patch], 1e-300)))
-        self._table = patch + np.clip(share[1:] - share[start[patch]], 0, 1)
-        lights, _ = facing_of(*of_pieces, first)
+        self._patches = Patches(*of_pieces, first, pieces.code)
+        lights, _ = facing_of(*of_pieces, self.light_of, len(count))
         self._facing = Facing(*lights)
         self._centre, self._reach = lights[0].astype(np.float32), lights[1].astype(np.float32)
         self.centre, self.reach = self._centre.astype(np.float64), lights[1]
@@ -134,14 +127,7 @@ class MeshEmitters(Emitters):
         light = np.zeros(len(w), np.intp) if which is None else which
         if not self.chooses:
             return light, None
-        patch, gain, w = self._patches.choose(light, position, w)
-        piece, last = self._patches.start.take(patch), self._patches.start.take(patch + 1) - 1
-        several = np.flatnonzero(last > piece)
-        if several.size:
-            share = patch.take(several) + w.take(several).astype(np.float64)
-            found = np.searchsorted(self._table, share, side="right")
-            piece[several] = np.clip(found, piece.take(several), last.take(several))
-        return piece, gain
+        return self._patches.choose(light, position, w)
 
     def piece(self, which: np.ndarray | None, position: np.ndarray, w: np.ndarray) -> np.ndarray:
         """(M,) pieces that `sample` takes, by what it is given."""
@@ -183,7 +169,7 @@ class MeshEmitters(Emitters):
             by_angle = share / np.maximum(seen.solid_angle, np.float32(1e-30))
             density[near] = np.where(seen.usable, by_angle, density[near])
         if self.chooses:
-            density /= self._patches.gain(self._patch_of.take(piece), position)
+            density /= self._patches.gain(piece, position)
         return density
 
     def irradiance(self, position, normal, which=None):

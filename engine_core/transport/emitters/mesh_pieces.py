@@ -15,11 +15,24 @@ from ...scene import Material
 ALONE = 8
 """Up to how many emissive triangles of a scene are a light each: then none has to be chosen of a light."""
 
-CLUSTERS = 256
-"""About how many lights all emissive triangles of a scene are parted into."""
+CLUSTERS, FEWEST = 256, 128
+"""About how many lights all emissive triangles of a scene are parted into, and what no light has more of them
+than one in."""
 
 LONG, MOST_CUT = 4.0, 1024
 """Edges over heights of triangles that are cut, and about how many pieces are gained at most."""
+
+LEVELS = 20
+"""Of the octree that pieces are sorted by."""
+
+# Shifts of the upper halves of 21 bits, of these again, and so on, and the bits that may be set then.
+_SPREADING = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
 
 MOST_PAIRS = 1 << 22
 """Of meshes, of which one may enclose the other, that are looked at."""
@@ -37,6 +50,7 @@ class Pieces:
     side : (E,) int8, of a triangle of a closed body into which nobody looks, 1 if its corners run
         counter-clockwise as seen from outside, -1 if clockwise; 0 of others, which are seen from both sides.
     first : (L + 1,) where each light begins.
+    code : (E,) int64, of the pieces' middles along a Morton curve, ascending in each light.
     """
 
     row: np.ndarray
@@ -44,6 +58,7 @@ class Pieces:
     weights: np.ndarray
     side: np.ndarray
     first: np.ndarray
+    code: np.ndarray
 
 
 def emissive_pieces(
@@ -66,18 +81,51 @@ def emissive_pieces(
     alone = row.size <= ALONE
     if not alone:
         row, side, corners, weights = _cut(row, side, corners, weights)
-    middle = corners.mean(axis=1)
-    low, high = middle.min(axis=0), middle.max(axis=0)
-    cell = ((middle - low) / np.maximum((high - low).max(), 1e-300) * 1023).astype(np.int64)
-    code = sum(((cell[:, k] >> bit) & 1) << (3 * bit + k) for bit in range(10) for k in range(3))
+    code = morton_codes(corners.mean(axis=1))
     kind = triangles.material[row] + len(materials) * triangles.linked(row)[0]
     order = np.lexsort((code, kind))
-    row, side, corners, weights, kind = (x[order] for x in (row, side, corners, weights, kind))
-    size = 1 if alone else max(ALONE, -(-row.size // CLUSTERS))
-    of_kind = np.flatnonzero(np.diff(kind, prepend=-1))
-    place = np.arange(row.size) - np.repeat(of_kind, np.diff(of_kind, append=row.size))
-    first = np.append(np.flatnonzero(place % size == 0), row.size)
-    return Pieces(row.astype(np.int32), corners, weights, side, first)
+    row, side, corners, weights, kind, code = (x[order] for x in (row, side, corners, weights, kind, code))
+    of_kind = np.append(np.flatnonzero(np.diff(kind, prepend=-1)), row.size)
+    first = np.arange(row.size + 1) if alone else _parted(code, of_kind, max(ALONE, -(-row.size // FEWEST)))
+    return Pieces(row.astype(np.int32), corners, weights, side, first, code)
+
+
+def morton_codes(middle: np.ndarray) -> np.ndarray:
+    """(E,) int64 of places (E, 3) along a Morton curve: three bits a level of an octree about them all."""
+    low, high = middle.min(axis=0), middle.max(axis=0)
+    most = (1 << LEVELS) - 1
+    cell = ((middle - low) / np.maximum((high - low).max(), 1e-300) * most).astype(np.int64)
+    # Two bits of 0 between any two, by halves.
+    for shift, mask in _SPREADING:
+        cell = (cell | (cell << shift)) & mask
+    return cell[:, 0] | (cell[:, 1] << 1) | (cell[:, 2] << 2)
+
+
+def highest_bit(x: np.ndarray) -> np.ndarray:
+    """Of int64 x (N,) >= 0, the highest bit alone; 0 of 0."""
+    for shift in (1, 2, 4, 8, 16, 32):
+        x = x | (x >> shift)
+    return x ^ (x >> 1)
+
+
+def _parted(code: np.ndarray, first: np.ndarray, most: int) -> np.ndarray:
+    """Where runs (R + 1,) of ``first`` begin when they are halved until none has more than ``most`` pieces.
+
+    By what their codes (E,) first differ in, so that what is far from the others is not with them.
+    """
+    while True:
+        start, stop = first[:-1], first[1:]
+        long = np.flatnonzero(stop - start > most)
+        if long.size == 0:
+            return first
+        start, stop = start[long], stop[long]
+        bit = highest_bit(code[start] ^ code[stop - 1])
+        many = stop - start
+        begins = np.cumsum(many) - many
+        number = np.arange(many.sum()) + np.repeat(start - begins, many)
+        beyond = np.add.reduceat(code[number] & np.repeat(bit, many) > 0, begins, dtype=np.intp)
+        middle = np.where(bit > 0, stop - beyond, start + many // 2)
+        first = np.sort(np.append(first, middle))
 
 
 def _corners(triangles: Triangles, row: np.ndarray) -> np.ndarray:

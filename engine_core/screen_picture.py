@@ -117,10 +117,10 @@ MOST = 1 << 12
 
 MOST_REGIONS = 1_000_000
 
-HOPELESS, EVERYWHERE = ((1 / 12, 0.1), (1 / 4, 0.1)), 0.4
+HOPELESS, EVERYWHERE = ((1 / 12, 0.1), (1 / 4, 0.1)), 0.3
 """As `build.HOPELESS`, of polynomials whose samples are whole rays: a ray of few points is several times as
-cheap, and does more for the noise where many thin things shade the fog. Leaves show .13 to .23 in .5 to .6 of
-the picture; what gains, less than .3 in .25, or less than .05.
+cheap, and does more for the noise where many thin things shade the fog. Leaves show .13 to .33 in .6 of the
+picture, a lantern of bars and hoops .11 to .33 in .36 to .46; what gains, less than .3 in .25, or less than .05.
 """
 
 BEYOND_HOPE = 0.5

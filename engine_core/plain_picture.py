@@ -265,6 +265,11 @@ class PlainPicture:
         deviation = mean_deviation(radiance)
         return None if deviation is None else deviation / self.samples**0.75
 
+    def deviation_a_sample(self) -> float | None:
+        """As `ControlVariatePicture.deviation_a_sample`, of pixels that all have the same samples."""
+        noise = self.noise()
+        return None if noise is None else 3 * noise / self.samples**0.25
+
     def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:
         """Stop blocks whose error is small enough, judged by two halves (C, B) of their samples.
 

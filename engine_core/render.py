@@ -47,8 +47,8 @@ Built = tuple[Refined | NetPicture | SeenPicture, float]
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
-BESIDE_NETS, SHARE_BESIDE_NETS = 2.0, 0.5
-"""Surfaces have twice their samples as long as their noise is so many times that of nets beside them, and
+BESIDE, SHARE_BESIDE = 2.0, 0.5
+"""Surfaces have twice their samples as long as their noise is so many times that of what is beside them, and
 their rays are no more than this part of those of fog and lasers."""
 
 DEPTH_ROWS, ROWS = 16, 64
@@ -261,7 +261,10 @@ class _Render:
         # What is worth a sample depends on all that is shown.
         beside = None
         if parts and not ended and self._settings.integrator == "control_variates":
-            a_sample = None if surfaces is None else surfaces.deviation_a_sample
+            if surfaces is not None:
+                a_sample = surfaces.deviation_a_sample
+            else:
+                a_sample = self._plain.deviation_a_sample() if self._sampled_once else None
             beside = *self._brightness(), a_sample
         for part, (picture, seconds) in zip(self._parts, parts, strict=False):
             begin = time.perf_counter()
@@ -284,16 +287,16 @@ class _Render:
         return None if surfaces is None else surfaces.noise
 
     def _share_out(self, parts: list[Built], surfaces: ControlVariatePicture | None) -> None:
-        """Give surfaces more samples where they cost little beside what nets took, and are most of the
-        noise.
+        """Give surfaces more samples where they cost little beside what fog and lasers took, and are most of
+        the noise.
         """
         settings, sampled = self._settings, self._plain if surfaces is None else surfaces
         noise = self._noise(surfaces)
-        nets = [picture.noise for picture, _ in parts if isinstance(picture, NetPicture)]
-        if not (noise and nets) or settings.integrator != "control_variates" or settings.noise_threshold:
+        beside = [picture.noise for picture, _ in parts if isinstance(picture, NetPicture | ScreenPicture)]
+        if not (noise and beside) or settings.integrator != "control_variates" or settings.noise_threshold:
             return
         rays, others, times = sampled.rays, sum(self._counts.values()), 1
-        while noise > BESIDE_NETS * math.hypot(*nets) and rays * times <= SHARE_BESIDE_NETS * others:
+        while noise > BESIDE * math.hypot(*beside) and rays * times <= SHARE_BESIDE * others:
             noise, times = noise / 2**0.75, 2 * times
         if times > 1:
             sampled.take_more(times)

@@ -120,7 +120,8 @@ MOST_REGIONS = 1_000_000
 HOPELESS, EVERYWHERE = ((1 / 12, 0.1), (1 / 4, 0.1)), 0.3
 """As `build.HOPELESS`, of polynomials whose samples are whole rays: a ray of few points is several times as
 cheap, and does more for the noise where many thin things shade the fog. Leaves show .13 to .33 in .6 of the
-picture, a lantern of bars and hoops .11 to .33 in .36 to .46; what gains, less than .3 in .25, or less than .05.
+picture, a lantern of bars and hoops .11 to .33 in .36 to .46; what gains, less than .3 in .25, or less than
+.05.
 """
 
 BEYOND_HOPE = 0.5
@@ -131,8 +132,11 @@ class ScreenPicture:
     """One layer of a picture: built, shown whole, and refined where its error is.
 
     built : whether polynomials were of use. regions, nodes : how many there are. seconds : by stage.
-    told : what was done, for people.
+    told : what was done, for people. noise : error of a pixel's channel to be expected, on average, once it
+    is known what samples are due.
     """
+
+    noise = 0.0
 
     def __init__(
         self,
@@ -389,6 +393,8 @@ class ScreenPicture:
 
         map_(draw, self._rows())
         self._chance, self._due, self._deviation_learned = chance, due, deviation
+        expected = deviation / np.sqrt(np.maximum(due, 1) * chance)
+        self.noise = float(expected.mean(dtype=np.float64)) / CHANNELS
         self._prepare(int(due.max()))
         more = np.flatnonzero(due > self._count)
         amount, approximate = due.reshape(-1)[more], served.reshape(-1)[more]

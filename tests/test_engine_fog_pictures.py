@@ -432,8 +432,9 @@ def test_more_lights_than_are_weighed_light_fog():
     assert np.isfinite(film.combined).all() and film.volume.mean() > 0
 
 
-def test_pixels_where_neighbours_differ_get_more_samples():
+def test_pixels_where_neighbours_differ_get_more_samples(monkeypatch):
     """Of surfaces lit by points alone; the mean stays the truth."""
+    monkeypatch.setattr(picture, "SHARE_BESIDE", 0.0)
     lit = scene(PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE), reflectance=0.6)
     truth = render(lit, Settings(samples=256, seed=99)).layers[0].radiance[..., :3].mean(dtype=float)
     films = [render(lit, Settings(samples=1, seed=seed)) for seed in range(16)]
@@ -559,8 +560,8 @@ def test_surfaces_have_more_samples_beside_fog_that_costs_more(name, monkeypatch
         return render(made, settings).layers[0]
 
     def many(least, share):
-        monkeypatch.setattr(picture, "BESIDE_NETS", least)
-        monkeypatch.setattr(picture, "SHARE_BESIDE_NETS", share)
+        monkeypatch.setattr(picture, "BESIDE", least)
+        monkeypatch.setattr(picture, "SHARE_BESIDE", share)
         return [surfaces(replace(settings, seed=seed)) for seed in range(8)]
 
     few, more = many(np.inf, 1.0), many(0.01, 10.0)

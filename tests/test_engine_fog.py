@@ -144,6 +144,25 @@ def test_coloured_extinction_is_exact_in_every_channel():
             assert found[channel, number] == pytest.approx(exact, rel=3e-5)
 
 
+def test_no_ray_through_a_dense_cloud_is_an_outlier():
+    """The far side is lit, too, which a ray sees at the very end of its polynomial. A sample in a thousand
+    was 1.4 times its ray's mean, and a speck of ten times that where samples are taken by chance."""
+    sun = SunLight(3.0, direction=(0.6, -0.7, -0.5), angle=0.01)
+    cloud = sphere((0, 0, -3), 0.9, segments=32, volume=0, surface=False)
+    scattering = fog([sun], [Volume(scattering=6.0, anisotropy=0.4)], meshes=[cloud])
+    integrand = ScatteredAlongRay(scattering, scattering.small)
+    rays, count = rays_of(integrand, 40), 4096
+    lane = np.repeat(np.arange(len(rays)), count)
+    u = np.random.default_rng(4).random((integrand.rest_dimensions, len(lane)))
+    _, values = integrand.rest(rays, lane, u)
+    values = values[0].reshape(len(rays), count).astype(float)
+    mean = values.mean(axis=1)
+    assert len(rays) > 8 and mean.min() > 0
+    assert (values.max(axis=1) < 1.15 * mean).all()
+    whole = integrand.along(rays, None)[0][0]
+    assert np.allclose(whole, mean, rtol=0.01)
+
+
 def test_rays_keep_their_light_where_as_many_lanes_are_of_others():
     # Two spots side by side: rays that see both bring as many lanes as there are rays, with those of none.
     spots = [spot_at(LIGHT + [x, 0, 0], (x, 0, -3), power=4 * np.pi, angle=0.8) for x in (0, 0.1)]

@@ -49,7 +49,7 @@ FEW_LIGHTS = 32
 
 BESIDE, SHARE_BESIDE = 2.0, 0.5
 """Surfaces have twice their samples as long as their noise is so many times that of what is beside them, and
-their rays are no more than this part of those of fog and lasers."""
+their rays are no more than this part of those that were traced until then, most of them of fog and lasers."""
 
 DEPTH_ROWS, ROWS = 16, 64
 """Of the picture, whose depth is looked for at once, and whose brightness."""
@@ -296,7 +296,7 @@ class _Render:
         if not (noise and beside) or settings.integrator != "control_variates" or settings.noise_threshold:
             return
         rays, others, times = sampled.rays, sum(self._counts.values()), 1
-        while noise > BESIDE * math.hypot(*beside) and rays * times <= SHARE_BESIDE * others:
+        while noise > BESIDE * math.hypot(*beside) and 0 < rays * times <= SHARE_BESIDE * others:
             noise, times = noise / 2**0.75, 2 * times
         if times > 1:
             sampled.take_more(times)

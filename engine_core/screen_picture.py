@@ -74,8 +74,8 @@ NEAR = 2
 
 WORTH, WORTH_OF_F = 10.0, 6.0
 """How many times the samples that nodes leave the budget for may be taken of a picture of one, where specks
-are what is seen; over `Settings.samples` of more, down to once. And where all are of f itself, which no
-chance makes specks of."""
+are what is seen; over the root of `Settings.samples` of more, down to once. And where all are of f itself,
+which no chance makes specks of, over those samples."""
 
 LEAST_SHARE = 1 / 6
 """Of that, for samples that every pixel of no polynomial has."""
@@ -315,7 +315,8 @@ class ScreenPicture:
         )
         crossed = alone[~beside]
         of_one = max(float(width * height), FEWEST * self._cost)
-        afforded = self._left * max(1.0, (WORTH if self.built else WORTH_OF_F) * of_one / self._total)
+        worth = WORTH * (of_one / self._total) ** 0.5 if self.built else WORTH_OF_F * of_one / self._total
+        afforded = self._left * max(1.0, worth)
         due = LEAST_SHARE * afforded / (self._alone_cost * max(len(crossed), 1))
         at_outlines = 1 << int(np.log2(np.clip(due, 2, AT_OUTLINES if around.any() else 2)))
         self._prepare(at_outlines)
@@ -391,10 +392,13 @@ class ScreenPicture:
             if self._elsewhere is not None:
                 due[rows][self._elsewhere.T[rows] & ~served[rows]] = 0
 
+        def expect(rows: slice) -> float:
+            points = np.maximum(due[rows], 1).astype(np.float32) * chance[rows]
+            return float((deviation[rows] / np.sqrt(points)).sum(dtype=np.float64))
+
         map_(draw, self._rows())
         self._chance, self._due, self._deviation_learned = chance, due, deviation
-        expected = deviation / np.sqrt(np.maximum(due, 1) * chance)
-        self.noise = float(expected.mean(dtype=np.float64)) / CHANNELS
+        self.noise = sum(map_(expect, self._rows())) / (CHANNELS * deviation.size)
         self._prepare(int(due.max()))
         more = np.flatnonzero(due > self._count)
         amount, approximate = due.reshape(-1)[more], served.reshape(-1)[more]

@@ -27,10 +27,14 @@ and has half as much noise again then where something else shines there."""
 _BY_AREA = np.float32(0.05)
 """Part of the chances that go by the area alone."""
 
+_LEAST_SHARE = 1e-8
+"""Of a light's area, of patches within which pieces are chosen by a table of the whole light."""
+
 # Points whose chances are found at once, so that the temporary arrays stay in the cache.
 _CHUNK = 1 << 12
 
 _BELOW_ONE = np.float32(1 - 2.0**-24)
+_NEVER = np.float32(1e-37)
 
 
 class Facing:
@@ -45,7 +49,8 @@ class Facing:
         """
         turning = np.maximum(1 - dot(normal, normal), 0) / 4
         self.centre, self._normal, self.reach, self._turning, self._back = (
-            np.asarray(x).astype(np.float32) for x in (centre, normal, reach * reach, turning, back)
+            np.asarray(x).astype(np.float32, order="C")
+            for x in (centre, normal, reach * reach, turning, back)
         )
 
     def shown(
@@ -65,7 +70,8 @@ class Facing:
         height = dot(normal, vector)
         # What is above a patch sees it under many angles, from beside it a flat one is an edge.
         reach = np.maximum(reach, np.float32(1e-30))
-        above = np.clip(2 - (square - height * height) / reach, 0, 1)
+        # Far off it is the difference of two infinities, and neither.
+        above = np.fmin(np.fmax(2 - (square - height * height) / reach, 0), 1)
         square += reach
         inverse = 1 / square
         cosine = height * np.sqrt(inverse)
@@ -94,12 +100,13 @@ class Patches:
         light = np.repeat(np.arange(len(first) - 1), np.diff(first))
         self._light_of = light
         # One ascending table of all pieces: the number of their light + the share of its area up to them.
-        share = np.append(0, np.cumsum(area / np.maximum(np.bincount(light, area)[light], 1e-300)))
+        whole = np.bincount(light, area, len(first) - 1)
+        share = np.append(0, np.cumsum(area / np.maximum(whole[light], 1e-300)))
         self._up_to = np.append(light + np.clip(share[:-1] - share[first[light]], 0, 1), len(first) - 1)
         self._levels = []
         start, stop = first[:-1], first[1:]
         while len(start):
-            level = _Level(of_pieces, code, start, stop)
+            level = _Level(of_pieces, code, start, stop, whole.take(light.take(start)))
             self._levels.append(level)
             start, stop = level.start.take(level.parted), level.stop.take(level.parted)
 
@@ -125,10 +132,10 @@ class Patches:
                 upper[k] += upper[k - 1]
             slot = np.minimum(slot.astype(np.intp), level.count.take(row) - 1)
             upper, chance, share = (_of_slot(x, slot) for x in (upper, chance, share))
-            w = np.clip(1 - (upper - w) / chance, 0, _BELOW_ONE)
+            w = np.clip(1 - (upper - w) / np.maximum(chance, _NEVER), 0, _BELOW_ONE)
             patch = row * PATCHES + slot
             here = slice(None) if lanes is None else lanes
-            gain[here] *= share / chance
+            gain[here] *= share / np.maximum(chance, _NEVER)
             start[here], stop[here], left[here] = level.start.take(patch), level.stop.take(patch), w
             deeper = level.deeper.take(patch)
             on = np.flatnonzero((deeper >= 0) & _of_slot(near, slot))
@@ -156,9 +163,9 @@ class Patches:
     def _gain(self, piece: np.ndarray, position: np.ndarray) -> np.ndarray:
         lanes, row, gain = None, self._light_of.take(piece), np.ones(len(piece), np.float32)
         for level in self._levels:
-            slot = level.slot.take(piece)
+            slot = level.slot.take(piece).astype(np.intp)
             share, chance, near = (_of_slot(x, slot) for x in level.chances(row, position))
-            gain[slice(None) if lanes is None else lanes] *= share / chance
+            gain[slice(None) if lanes is None else lanes] *= share / np.maximum(chance, _NEVER)
             deeper = level.deeper.take(row * PATCHES + slot)
             on = np.flatnonzero((deeper >= 0) & near)
             if on.size == 0:
@@ -172,14 +179,20 @@ class _Level:
     """K patches that are parted into up to `PATCHES` each: row k's have numbers from k * `PATCHES` on.
 
     start, stop : (K * PATCHES,) their pieces. count : (K,) how many patches there are of each.
-    slot : (E,) int, which of its row's a piece is in; anything if in none.
+    slot : (E,) uint8, which of its row's a piece is in; anything if in none.
     parted : those of several pieces, and deeper : (K * PATCHES,) their rows in the next level, -1 of others.
     """
 
     def __init__(
-        self, of_pieces: tuple[np.ndarray, ...], code: np.ndarray, start: np.ndarray, stop: np.ndarray
+        self,
+        of_pieces: tuple[np.ndarray, ...],
+        code: np.ndarray,
+        start: np.ndarray,
+        stop: np.ndarray,
+        whole: np.ndarray,
     ) -> None:
-        """Of E pieces, as `Patches`; start, stop : (K,) ascending, those of the K patches."""
+        """Of E pieces, as `Patches`; start, stop : (K,) ascending, those of the K patches; whole : (K,) areas
+        of their lights."""
         many = stop - start
         within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
         row, number = np.repeat(np.arange(len(many)), many), within + np.repeat(start, many)
@@ -194,9 +207,9 @@ class _Level:
         there = np.bincount(row * PATCHES + own, minlength=len(many) * PATCHES).reshape(-1, PATCHES) > 0
         place = np.cumsum(there, axis=1) - 1
         self.count = there.sum(axis=1)
-        self.slot = np.zeros(of_pieces[0].shape[1], np.intp)
+        self.slot = np.zeros(of_pieces[0].shape[1], np.uint8)
         self.slot[number] = place[row, own]
-        patch = row * PATCHES + self.slot[number]
+        patch = row * PATCHES + place[row, own]
         many = np.bincount(patch, minlength=len(start) * PATCHES)
         self.stop = np.repeat(start, PATCHES) + np.cumsum(many.reshape(-1, PATCHES), axis=1).ravel()
         self.start = self.stop - many
@@ -210,9 +223,11 @@ class _Level:
         shape = len(start), PATCHES
         share = (total.reshape(shape) / np.maximum(total.reshape(shape).sum(axis=1, keepdims=True), 1e-300)).T
         # However small, none is without a chance.
-        self._share = np.where(share > 0, np.maximum(share, 1e-30), 0).astype(np.float32)
+        self._share = np.where(share > 0, np.maximum(share, 1e-30), 0).astype(np.float32, order="C")
         self._facing = Facing(*(np.moveaxis(x.reshape(*x.shape[:-1], *shape), -1, -2) for x in facing))
         self._near = np.float32(1 + NEAR * NEAR) * self._facing.reach
+        # Of so small a part of its light the table has no digits left.
+        self._near[_LEAST_SHARE * whole > total.reshape(shape).T] = np.inf
 
     def chances(self, row: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(PATCHES, M) shares of the area, chances, and what is near, of rows (M,) for points (3, M)."""

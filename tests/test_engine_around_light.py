@@ -88,6 +88,23 @@ def test_directions_in_which_a_beam_is_lit(projection, seed):
     assert seen[(turned > lit[1] + step) & (turned < lit[2] - step)].all()
 
 
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_lights_that_are_larger_in_the_picture_than_a_block_have_none(projection):
+    """A block within an area light's image was seen as a noisy square."""
+    camera = replace(CAMERA, projection=projection)
+    if projection == "orthographic":
+        camera = replace(camera, viewplane=(-3, 3, -2, 2))
+
+    def lit_blocks(radius: float) -> list[int]:
+        lights = [PointLight(60.0, position=INSIDE), PointLight(60.0, position=(1, 1, 1), radius=radius)]
+        made = replace(scene(*lights), camera=camera)
+        around = parts_of(made, DirectLight(made), Settings(), lambda: None)[0].by
+        return sorted(block.light for block in around.blocks)
+
+    assert lit_blocks(0.02) == [0, 1]
+    assert len(lit_blocks(1.5)) == 1
+
+
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_all_pixels_where_a_light_is_tamed_are_about_it(projection, seed):

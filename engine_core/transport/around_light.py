@@ -58,7 +58,10 @@ class Block:
 def blocks(
     rays: CameraRays, lights: SceneLights, numbers: np.ndarray, region: tuple[int, int, int, int]
 ) -> tuple[list[Block], np.ndarray]:
-    """The blocks of lights ``numbers`` in a region (x0, y0, x1, y1), and (W, H) bool, pixels of any."""
+    """The blocks of lights ``numbers`` in a region (x0, y0, x1, y1), and (W, H) bool, pixels of any.
+
+    None of those that are as large as that in the picture: no ray is so near that there was a peak.
+    """
     x0, y0, x1, y1 = region
     owner, nearest = np.full((x1 - x0, y1 - y0), -1), np.full((x1 - x0, y1 - y0), np.inf)
     numbers = numbers[np.isfinite(lights.reach[numbers])]
@@ -66,6 +69,9 @@ def blocks(
     seen = (depth > rays.clip_start) & np.isfinite(image).all(axis=0)
     seen &= (np.abs(image) < 1e9).all(axis=0)
     for k in np.flatnonzero(seen):
+        light = int(numbers[k])
+        if lights.reach[light] > _beside(rays, lights, light, image[:, k]):
+            continue
         low = np.floor(image[:, k]).astype(np.int64) - HALF_WIDTH
         xs, ys = (
             np.arange(max(lo, a), min(lo + 2 * HALF_WIDTH + 1, b))
@@ -186,15 +192,20 @@ def tamed(
     x0, y0, x1, y1 = region
     nearest, whole = np.zeros((2, len(lights)))
     narrow = np.zeros((x1 - x0, y1 - y0), bool)
-    beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
     for block in found:
-        nearest[block.light] = _distances(rays, lights, block.light, block.centre[:, None] + beside).min()
+        nearest[block.light] = _beside(rays, lights, block.light, block.centre)
     for k, beam in beams.items():
         x, y = beam.pixels(beam.narrow, region)
         if beam.narrow > HALF_WIDTH and x.size:
             whole[k] = beam.nearest(rays, lights, k, beam.narrow)
             narrow[x - x0, y - y0] = True
     return Tamed(nearest, whole, narrow)
+
+
+def _beside(rays: CameraRays, lights: SceneLights, light: int, centre: np.ndarray) -> float:
+    """How near rays pass a light at the edge of a block about its image ``centre`` (2,)."""
+    beside = np.array([(-1, 1, 0, 0), (0, 0, -1, 1)]) * HALF_WIDTH
+    return float(_distances(rays, lights, light, centre[:, None] + beside).min())
 
 
 def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndarray) -> np.ndarray:

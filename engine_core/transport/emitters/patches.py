@@ -67,12 +67,15 @@ class Facing:
             take(x, which) for x in (self._normal, self.reach, self._turning, self._back)
         )
         square = dot(vector, vector)
-        square += np.maximum(reach, np.float32(1e-30))
+        height = dot(normal, vector)
+        # What is above a patch sees it under many angles, from beside it a flat one is an edge.
+        reach = np.maximum(reach, np.float32(1e-30))
+        # Far off it is the difference of two infinities, and neither.
+        above = np.fmin(np.fmax(2 - (square - height * height) / reach, 0), 1)
+        square += reach
         inverse = 1 / square
-        cosine = dot(normal, vector)
-        cosine *= np.sqrt(inverse)
-        # What is near is seen under many angles.
-        turning = turning + np.float32(0.25) * reach * inverse
+        cosine = height * np.sqrt(inverse)
+        turning = turning + np.float32(0.25) * reach * inverse * above
         if along is not None:
             turning += dot(normal, along) ** 2
         both = np.sqrt(cosine * cosine + turning)

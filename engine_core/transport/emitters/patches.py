@@ -40,7 +40,7 @@ _NEVER = np.float32(1e-37)
 class Facing:
     """What patches (...) show of themselves to points.
 
-    centre : (3, ...) float32. reach : (...) float32, the square of how far from there they extend.
+    centre : (3, ...) float32. reach_squared : (...) float32, of how far from there they extend.
     """
 
     def __init__(self, centre: np.ndarray, reach: np.ndarray, normal: np.ndarray, back: np.ndarray) -> None:
@@ -48,7 +48,7 @@ class Facing:
         it does not turn. back : (...) what is expected of the back, over what the front sends.
         """
         turning = np.maximum(1 - dot(normal, normal), 0) / 4
-        self.centre, self._normal, self.reach, self._turning, self._back = (
+        self.centre, self._normal, self.reach_squared, self._turning, self._back = (
             np.asarray(x).astype(np.float32, order="C")
             for x in (centre, normal, reach * reach, turning, back)
         )
@@ -64,7 +64,7 @@ class Facing:
             normal came to the root alone, but for a factor alike for all.
         """
         normal, reach, turning, back = (
-            take(x, which) for x in (self._normal, self.reach, self._turning, self._back)
+            take(x, which) for x in (self._normal, self.reach_squared, self._turning, self._back)
         )
         square = dot(vector, vector)
         height = dot(normal, vector)
@@ -225,7 +225,7 @@ class _Level:
         # However small, none is without a chance.
         self._share = np.where(share > 0, np.maximum(share, 1e-30), 0).astype(np.float32, order="C")
         self._facing = Facing(*(np.moveaxis(x.reshape(*x.shape[:-1], *shape), -1, -2) for x in facing))
-        self._near = np.float32(1 + NEAR * NEAR) * self._facing.reach
+        self._near = np.float32(1 + NEAR * NEAR) * self._facing.reach_squared
         # Of so small a part of its light the table has no digits left.
         self._near[_LEAST_SHARE * whole > total.reshape(shape).T] = np.inf
 

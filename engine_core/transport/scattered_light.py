@@ -61,6 +61,22 @@ def in_cone(
     return np.where(never, 1e30, foot + first), np.where(never, -1e30, foot + last)
 
 
+def _phase_of_light(cosine: np.ndarray, sine: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """What a phase function of ``g`` is towards a light, of its centre and of where it is brightest.
+
+    cosine : of the angle between a ray and the light's centre. sine : of half the angle that the light fills.
+    """
+    sine = np.minimum(sine, np.float32(1))
+    half, side = np.sqrt(1 - sine * sine), np.copysign(np.float32(1), g)
+    ahead = side * cosine
+    # Where the ray's own direction, or its opposite, is one to the light, it is that.
+    edge = ahead * half
+    edge += np.sqrt(np.maximum(1 - cosine * cosine, 0)) * sine
+    edge[ahead > half] = 1
+    g = np.abs(g)
+    return phase.value((1 - ahead) / 2, (1 + ahead) / 2, g) + phase.value((1 - edge) / 2, (1 + edge) / 2, g)
+
+
 class ScatteredLight(Scattered):
     """Light of any lights: one point of a camera ray, and one of each light or of one of many, at a time.
 
@@ -257,8 +273,8 @@ class ScatteredLight(Scattered):
         factor = np.exp(-depth)
         g = scattering.anisotropy.astype(np.float32).take(mixture)[:, None]
         if g.any():
-            cosine = -x / r
-            factor *= phase.value((1 - cosine) / 2, (1 + cosine) / 2, g)
+            reach = scattering.lights.reach.take(light).astype(np.float32)
+            factor *= _phase_of_light(-x / r, reach[:, None] / r, g)
             factor /= factor.max(axis=0)
         return factor
 

@@ -251,6 +251,11 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     coloured = scattering.surfaces.any_transparent
+    by_phase = None
+    if scattering.is_peaked and rest.size:
+        every = np.arange(len(scattering.lights))
+        sine = _of_distance(scattering, every, _asked(scattering, region))
+        by_phase = scattering.shares_of_phase(sine)
     if not by_net:
         small = small[:0]
         if coloured:
@@ -275,7 +280,7 @@ def _of_fog(
                 ScatteredAlongRay(scattering, of_rays, check, looks, looks, checks=checks, several=False)
             )
         if (of_rest := np.setdiff1d(np.intersect1d(lights, rest), small)).size:
-            found.append(ScatteredLight(scattering, of_rest, None, check))
+            found.append(ScatteredLight(scattering, of_rest, None, check, by_phase))
         return found
 
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
@@ -292,9 +297,9 @@ def _of_fog(
     def by_points(lights: np.ndarray) -> OverNet:
         choice = scattering.choice_of_cells(lights, *cells(region), check)
         learn, points = None, _growing(LIGHT_POINTS, settings.samples)
-        light = ScatteredLight(scattering, lights, choice, check)
+        light = ScatteredLight(scattering, lights, choice, check, by_phase)
         if choice is None and by_net:
-            each = [ScatteredLight(scattering, np.array([one]), None, check) for one in lights]
+            each = [ScatteredLight(scattering, np.array([one]), None, check, by_phase) for one in lights]
 
             def learn(map_: Map) -> None:
                 pixels = (region[2] - region[0]) * (region[3] - region[1])

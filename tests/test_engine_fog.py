@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scenes import box, sphere
@@ -36,9 +38,12 @@ WHITE = (Material(),)
 LIGHT = np.array([1.2, 0.2, -1.5])
 
 
-def fog(lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, **camera) -> SingleScattering:
+def fog(
+    lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, sky=None, **camera
+) -> SingleScattering:
     view = Camera.look_at((0, 0, 0), (0, 0, -1), EDGE, EDGE, 0.9, up=(0, 1, 0), **camera)
-    scene = Scene(view, tuple(meshes), materials, tuple(lights), World(volume=world), volumes=tuple(volumes))
+    sky = dataclasses.replace(sky or World(), volume=world)
+    scene = Scene(view, tuple(meshes), materials, tuple(lights), sky, volumes=tuple(volumes))
     direct = DirectLight(scene)
     return SingleScattering(
         direct.frame,
@@ -452,6 +457,55 @@ def test_an_area_light_by_brute_force():
         scattering.sampling = sampling
         mean, own = _mean(integrand, rays, 400)
         assert abs(mean.sum() - brute) < 4 * np.hypot(error, own) + 2e-3 * brute
+
+
+def _towards_camera(kind: str):
+    """A wide light in front of the camera, as lights and a sky."""
+    matrix = np.diag([-1.0, 1.0, -1.0, 1.0])
+    matrix[:3, 3] = 0.3, 0.1, -3.0
+    gradient = np.linspace(0.5, 1.5, 8)[:, None, None] * np.ones((8, 16, 3))
+    lights = {
+        "area": [AreaLight(power=30.0, light_to_world=matrix, size=(1.0, 0.8))],
+        "ellipse": [AreaLight(power=30.0, light_to_world=matrix, size=(1.0, 0.8), ellipse=True)],
+        "spread": [AreaLight(power=30.0, light_to_world=matrix, size=(1.0, 0.8), spread=1.5)],
+        "ball": [PointLight(power=30.0, position=(0.3, 0.1, -3.0), radius=0.5)],
+        "disk": [PointLight(power=30.0, position=(0.3, 0.1, -3.0), radius=0.5, sphere=False)],
+        "inside": [PointLight(power=30.0, position=(0, 0, 0), radius=9.0)],
+    }.get(kind, [])
+    return lights, {"sky": World((0.7, 0.8, 1.0)), "picture": World(image=gradient)}.get(kind)
+
+
+@pytest.mark.parametrize("kind", ["area", "ellipse", "spread", "ball", "disk", "inside", "sky", "picture"])
+@pytest.mark.parametrize("g", [0.8, -0.7])
+def test_directions_by_the_phase_function_are_unbiased(kind, g):
+    lights, sky = _towards_camera(kind)
+    volumes = [Volume(scattering=(0.15, 0.12, 0.1), anisotropy=g)]
+    # What is infinitely far needs a fog that ends.
+    box_of_fog = [bounds((-4, -4, -5), (4, 4, 1))] if sky else []
+    scattering = fog(lights, volumes, -1 if sky else 0, [OCCLUDER, *box_of_fog], sky=sky, clip_end=5.0)
+    shares = scattering.shares_of_phase(np.ones(1))
+    assert scattering.is_peaked and 0 < shares[0] < 1
+    by_light, by_both = (ScatteredLight(scattering, np.arange(1), by_phase=p) for p in (None, shares))
+    rays = rays_of(by_both, 48)
+    (a, error), (b, less) = (_mean(f, rays, 8000) for f in (by_both, by_light))
+    assert abs(a.sum() - b.sum()) < 4 * np.hypot(error, less)
+    # Neither is all noise, or they would agree whatever they were.
+    assert max(error / a.sum(), less / b.sum()) < 0.04
+
+
+def test_the_phase_function_is_followed_into_the_edges_of_a_light():
+    """Rays that run into a wide light beside its centre, in fog that scatters forwards."""
+    (light,), _ = _towards_camera("area")
+    scattering = fog([light], [Volume(scattering=(0.15,) * 3, anisotropy=0.9)], 0, clip_end=2.99)
+    integrand = ScatteredLight(scattering, np.arange(1))
+    every = rays_of(integrand, 2000)
+    x, y = every.direction[:2] * (3.0 / -every.direction[2])
+    beside = np.flatnonzero((np.abs(x - 0.3) < 0.5) & (np.abs(y - 0.1) < 0.4) & (np.abs(x - 0.3) > 0.4))
+    assert len(beside) > 20
+    u = np.random.default_rng(7).random((3, len(every), 400))
+    which, values = integrand.rest(every, None, u)
+    f = np.bincount(which, values[0], len(every) * 400).reshape(len(every), 400)[beside]
+    assert (np.square(f).mean(axis=1) / np.square(f.mean(axis=1))).mean() < 12
 
 
 def test_a_choice_among_many_lights_is_unbiased():

@@ -182,6 +182,24 @@ class SceneLights(Lights):
             return *group.sample(None, position, None, w, u), group.at_infinity, group.is_mesh
         return self._sample_sorted(light, position, None, w, u)
 
+    def met_in_space(
+        self, light: np.ndarray | None, position: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where unit directions (3, K) from points (3, K) meet lights ``light`` (K,), ascending, none of them
+        a mesh; None for the only one.
+
+        Returns vectors (3, K), and what `strength_in_space` must be multiplied with to be radiance (K,), 0
+        where the light is not met.
+        """
+        to_light, weight = np.empty(direction.shape, np.float32), np.empty(direction.shape[1], np.float32)
+        for group, part, which in self._parts(light):
+            unit = direction[:, part].astype(np.float32)
+            distance, gain = group.met(which, position[:, part], unit)
+            met = gain > 0
+            to_light[:, part] = unit * np.where(met, distance, 1)
+            weight[part] = np.where(met, gain, 0) / group.size[0 if which is None else which]
+        return to_light, weight
+
     def _sample_sorted(self, light, position, normal, w, u):
         """Samples of lights in ascending order, kind after kind."""
         n = len(light)

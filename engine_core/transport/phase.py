@@ -42,6 +42,11 @@ def value(less: np.ndarray, more: np.ndarray, g: np.ndarray | float) -> np.ndarr
     return ((1 - g * g) / (4 * np.pi)) / root
 
 
+def width(g: np.ndarray | float) -> np.ndarray | float:
+    """Part of all directions that a function as high as this one's mean would fill, the mean by itself."""
+    return (1 - g * g) ** 2 / (1 + g * g)
+
+
 def sample(before: np.ndarray, g: np.ndarray | float, u: np.ndarray) -> np.ndarray:
     """Directions of travel after scattering (3, M), of unit directions before (3, M), for u (2, M)."""
     root = 1 - g + 2 * g * u[0]

@@ -61,20 +61,17 @@ def in_cone(
     return np.where(never, 1e30, foot + first), np.where(never, -1e30, foot + last)
 
 
-def _phase_of_light(cosine: np.ndarray, sine: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """What a phase function of ``g`` is towards a light, of its centre and of where it is brightest.
+def _cosine_to_edge(cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
+    """Of the least angle between a direction and those to a light: 1 where it is one of them.
 
-    cosine : of the angle between a ray and the light's centre. sine : of half the angle that the light fills.
+    cosine : of the angle to the light's centre. sine : of half the angle that the light fills.
     """
     sine = np.minimum(sine, np.float32(1))
-    half, side = np.sqrt(1 - sine * sine), np.copysign(np.float32(1), g)
-    ahead = side * cosine
-    # Where the ray's own direction, or its opposite, is one to the light, it is that.
-    edge = ahead * half
+    half = np.sqrt(1 - sine * sine)
+    edge = cosine * half
     edge += np.sqrt(np.maximum(1 - cosine * cosine, 0)) * sine
-    edge[ahead > half] = 1
-    g = np.abs(g)
-    return phase.value((1 - ahead) / 2, (1 + ahead) / 2, g) + phase.value((1 - edge) / 2, (1 + edge) / 2, g)
+    edge[cosine > half] = 1
+    return edge
 
 
 class ScatteredLight(Scattered):
@@ -89,10 +86,15 @@ class ScatteredLight(Scattered):
         lights: np.ndarray,
         choice: FogChoice | None = None,
         check: Callable[[], None] = lambda: None,
+        by_phase: np.ndarray | None = None,
     ) -> None:
-        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all."""
+        """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all.
+        by_phase : (L,) of all lights, as of `SingleScattering.shares_of_phase`; None for none.
+        """
         super().__init__(scattering, lights, check)
         self._choice = choice
+        # A share that went with the place would make a point follow another technique in the next pixel.
+        self._by_phase = np.zeros(len(scattering.lights), np.float32) if by_phase is None else by_phase
         self.guide: Guide | None = None
         scene = scattering.lights
         self._number = None if len(scene) == 1 else self._lights
@@ -274,7 +276,11 @@ class ScatteredLight(Scattered):
         g = scattering.anisotropy.astype(np.float32).take(mixture)[:, None]
         if g.any():
             reach = scattering.lights.reach.take(light).astype(np.float32)
-            factor *= _phase_of_light(-x / r, reach[:, None] / r, g)
+            # Of its centre, and of where it is brightest.
+            g, ahead = np.abs(g), -x / r * np.copysign(np.float32(1), g)
+            edge = _cosine_to_edge(ahead, reach[:, None] / r)
+            of_edge = phase.value((1 - edge) / 2, (1 + edge) / 2, g)
+            factor *= phase.value((1 - ahead) / 2, (1 + ahead) / 2, g) + of_edge
             factor /= factor.max(axis=0)
         return factor
 
@@ -302,7 +308,9 @@ class ScatteredLight(Scattered):
         direction = take(rays.direction, ray)
         position = take(rays.origin, ray) + direction * (media.start.take(row) + far)
         number = None if len(lights) == 1 else light
-        to_light, weight, at_infinity, is_mesh = lights.sample_in_space(number, position, u, w)
+        to_light, weight, at_infinity, is_mesh = self._towards(
+            number, position, direction, scattering.anisotropy.take(mixture), u, w
+        )
         passed = passed * weight
         lit = np.flatnonzero(passed.any(axis=0))
         if lit.size < len(ray):
@@ -332,6 +340,41 @@ class ScatteredLight(Scattered):
         depth = fog.optical_depth(origins, directions, reach, media.inside.take(row.take(arrive)))
         scattered *= np.exp(-depth)
         return lit.take(arrive), scattered
+
+    def _towards(
+        self,
+        light: np.ndarray | None,
+        position: np.ndarray,
+        direction: np.ndarray,
+        g: np.ndarray,
+        u: np.ndarray,
+        w: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool, np.ndarray | bool]:
+        """As `SceneLights.sample_in_space`; of wide lights, part of the directions follow phase functions of
+        anisotropies g (K,) about those of rays (3, K), by the balance heuristic.
+        """
+        lights, shares = self._scattering.lights, self._by_phase
+        share = shares.take(self._lights[:1] if light is None else light)
+        if not share.any():
+            return lights.sample_in_space(light, position, u, w)
+        share = np.broadcast_to(share, len(g))
+        by_phase, u = u[0] < share, u.copy()
+        u[0] -= np.where(by_phase, 0, share)
+        u[0] /= np.where(by_phase, share, 1 - share)
+        to_light, weight, at_infinity, is_mesh = lights.sample_in_space(light, position, u, w)
+        rows = np.flatnonzero(by_phase)
+        if rows.size:
+            unit = phase.sample(take(direction, rows), g.take(rows), take(u, rows))
+            number = None if light is None else light.take(rows)
+            to_light[:, rows], weight[rows] = lights.met_in_space(number, take(position, rows), unit)
+        rows = np.flatnonzero(share)
+        number = None if light is None else light.take(rows)
+        vector, share, along = take(to_light, rows), share.take(rows), take(direction, rows)
+        of_light = lights.density_in_space(number, take(position, rows), vector, w.take(rows))
+        less, more = phase.half_angle(vector * inverse_length(vector), along)
+        density = share * phase.value(less, more, g.take(rows)) + (1 - share) * of_light
+        weight[rows] *= np.where(by_phase.take(rows), 1, of_light) / density
+        return to_light, weight, at_infinity, is_mesh
 
     def _passing(
         self, position, to_light, at_infinity, is_mesh, light

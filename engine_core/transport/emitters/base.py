@@ -177,6 +177,19 @@ class Emitters:
                 gain = self._gain(light, take(origin, lane), take(unit, lane))
                 yield LightHits(lane + start, light, distance[met], gain)
 
+    def met(
+        self, which: np.ndarray | None, position: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of rays that are each to meet a light of their own: (M,) distances, 1 for what is infinitely far;
+        and (M,) what the light's radiance is multiplied with, but for its tint, 0 where it is not met.
+
+        which : (M,) index into the group, None if it has but one light. position, directions : (3, M), unit.
+        """
+        light = np.zeros(position.shape[1], np.intp) if which is None else which
+        distance, met = self._meet(light, position, directions)
+        gain = self._gain(light, position, directions)
+        return distance, met.astype(np.float32) if gain is None else met * gain
+
     def _meet(
         self, light: np.ndarray, position: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:

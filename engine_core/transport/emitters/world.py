@@ -42,6 +42,9 @@ class WorldEmitter(Emitters):
         cosine = dot(normal, to_light) / length(to_light)
         return np.maximum(cosine, 0) * np.float32(1 / np.pi)
 
+    def met(self, which, position, directions):
+        return np.ones((2, position.shape[1]), np.float32)
+
     def hits(self, position, directions, lights=None):
         n = position.shape[1]
         yield LightHits(np.arange(n), np.zeros(n, np.intp), np.ones(n, np.float32), None)
@@ -95,6 +98,9 @@ class ImageWorldEmitter(Emitters):
 
     def tint(self, which, to_light):
         return self._map.radiance(to_light)
+
+    def met(self, which, position, directions):
+        return np.ones((2, position.shape[1]), np.float32)
 
     def hits(self, position, directions, lights=None):
         n = position.shape[1]

@@ -203,13 +203,14 @@ class NetPicture:
     def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
         shape = self._height, self._width
-        rough = roughness_of_tiles(
+        rough, bright = roughness_of_tiles(
             self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
         )
-        if noise and self._by.fewest:
-            # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole.
-            noise = noise / CELL if self._by.chooses else noise
-            self._take(enough_points(rough, noise, self._by.fewest, self._by.points))
+        # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole; and
+        # most of these points are asked for in each pixel.
+        of_many = self._by.chooses
+        noise, bright = (noise or 0) / (CELL if of_many else 1), None if of_many else bright
+        self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points))
         counts = points_of_tiles(rough, self._points)
         self.noise = noise_of_points(rough, counts) / self._rounds**0.5
         return counts

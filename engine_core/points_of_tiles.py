@@ -40,6 +40,14 @@ HIDDEN = 0.4
 """Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
 seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
 
+PATTERN, MOST_TIMES = 0.05, 4
+"""What a net that is followed may be wrong by in the mean, of what is there, as it is a pattern; and how many
+times as many points it has at most where as many as usual would be wrong by more.
+"""
+
+DIM = 0.25
+"""Of the mean, what counts as so bright at least in that."""
+
 
 def roughness_of_tiles(
     integrand: StagedIntegrand,
@@ -50,8 +58,8 @@ def roughness_of_tiles(
     map_: Map,
     check: Callable[[], None],
 ) -> np.ndarray:
-    """(rows, columns) float64: mean square of what the integrand, its channels summed, differs by between
-    neighbours of a net, of a few places in each tile and in those around.
+    """(2, rows, columns) float64: mean square of what the integrand, its channels summed, differs by between
+    neighbours of a net, and its mean; of a few places in each tile and in those around.
 
     pixels_at : columns and rows (B,) of the picture -> its pixels. shape : its rows and columns.
     edge : of a tile, in pixels. map_ : runs a function over items on the workers. check : called before every
@@ -75,24 +83,40 @@ def roughness_of_tiles(
         middle = np.full((2, len(some), 1), 0.5, np.float32)
         stage = integrand.first(some, middle)
         f = values_at(integrand, stage, len(some), None, net.reshape(len(net), -1))[:3]
-        return _roughness(f.reshape(3, len(some), -1), net)
+        f = f.reshape(3, len(some), -1)
+        return np.stack([_roughness(f, net), f.sum(axis=0, dtype=np.float64).mean(axis=1)])
 
-    found = np.concatenate(map_(roughness, range(0, len(pixels), size)))
-    found = found.reshape(rows, PILOTS, columns, PILOTS).mean(axis=(1, 3))
+    found = np.concatenate(map_(roughness, range(0, len(pixels), size)), axis=1)
+    found = found.reshape(2, rows, PILOTS, columns, PILOTS).mean(axis=(2, 4))
     # What few pilots missed, those around may tell.
     weights = np.array([1.0, 2.0, 1.0])
-    for axis in range(2):
+    for axis in (1, 2):
         found = sums_around(found, axis, weights) / sums_around(np.ones_like(found), axis, weights)
     return found
 
 
-def enough_points(rough: np.ndarray, noise: float, fewest: int, most: int) -> int:
-    """A power of two from ``fewest`` to ``most``: points in the mean, so that the ``noise`` of a pixel's
-    channel beside hides that they are no more. rough : of `roughness_of_tiles`.
+def enough_points(rough: np.ndarray, bright: np.ndarray | None, noise: float, fewest: int, usual: int) -> int:
+    """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
+    of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
+
+    rough, bright : of `roughness_of_tiles`; None for the second if errors are none. fewest : 0 if it is as
+        many as usual.
     """
+    if not fewest:
+        return usual
+
+    def least(rough: float, error: float) -> float:
+        return (ERROR * rough / max(error, 1e-150) ** 2) ** (2 / 3)
+
     # Channels are summed in that.
-    least = (ERROR / 9 * rough.mean() / (HIDDEN * noise) ** 2) ** (2 / 3)
-    return 1 << int(np.ceil(np.log2(np.clip(least, fewest, most))))
+    hidden = least(rough.mean(), HIDDEN * noise * 3)
+    if noise and hidden < usual:
+        return 1 << int(np.ceil(np.log2(max(hidden, fewest))))
+    if bright is None or not bright.any():
+        return usual
+    most = min(hidden, MOST_TIMES * usual)
+    relative = np.sqrt(rough) / np.maximum(bright, DIM * bright.mean())
+    return 1 << round(np.log2(np.clip(least(relative.mean() ** 2, PATTERN), usual, max(usual, most))))
 
 
 def noise_of_points(rough: np.ndarray, points: np.ndarray) -> float:

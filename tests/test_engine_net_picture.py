@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from engine_core import Settings
+from engine_core import Settings, points_of_tiles
 from engine_core import net_picture as module
 from engine_core.image.film import LASER, Layer
 from engine_core.net_picture import NetPicture
 from engine_core.parts import OverNet
-from engine_core.points_of_tiles import _roughness, _shared
+from engine_core.points_of_tiles import ERROR, MOST_TIMES, PATTERN, _roughness, _shared, enough_points
 from engine_core.transport.camera_hits import Pixels
 
 WIDTH, HEIGHT = 22, 13  # no multiples of a cell
@@ -217,7 +217,9 @@ def test_enough_is_a_picture_of_the_nets_that_there_are(monkeypatch):
         np.testing.assert_array_equal(getattr(one, name), getattr(stopped, name))
 
 
-def test_noise_beside_hides_that_points_are_few():
+def test_noise_beside_hides_that_points_are_few(monkeypatch):
+    monkeypatch.setattr(points_of_tiles, "MOST_TIMES", 1)
+
     def is_of(points: int, noise: float) -> bool:
         return np.array_equal(picture(5, noise=noise).radiance, picture(5, samples=points).radiance)
 
@@ -266,3 +268,26 @@ def test_the_standard_error_is_of_the_errors_size():
     # Pixels between the ends of the stripe and of what is seen.
     ratio = told[:, :7].mean() / found[:, :7].mean()
     assert 0.4 < ratio < 2.5
+
+
+def test_points_are_few_where_noise_hides_them_and_many_where_they_make_a_pattern():
+    def points(relative: float, noise: float, fewest: int = 4, pattern: bool = True) -> int:
+        """Of a net that 16 points are usual of, that is wrong by so much of its mean, beside such noise."""
+        rough = np.full((3, 5), 16**1.5 / ERROR * relative**2)
+        return enough_points(rough, np.ones((3, 5)) if pattern else None, noise / 3, fewest, 16)
+
+    assert points(0.01, 0.0) == points(0.01, 1e-3) == 16
+    assert points(0.01, 1.0) == 4
+    assert points(0.01, 1.0, fewest=0) == 16
+    assert points(PATTERN * 1.7, 0.0) == points(PATTERN * 1.7, 1e-3) == 32
+    assert points(9.0, 0.0) == MOST_TIMES * 16
+    assert points(9.0, 0.0, pattern=False) == 16
+    assert points(9.0, 0.0, fewest=0) == 16
+    # What is hidden is no pattern.
+    assert points(0.2, 0.3) == 32
+    assert points(0.2, 1.0) == 8
+    # Nor is what is in the dark beside what is bright.
+    rough, bright = np.zeros((1, 4)), np.array([[1.0, 0, 0, 0]])
+    rough[:, 1:] = 1e-6
+    assert enough_points(rough, bright, 0.0, 4, 16) == 16
+    assert enough_points(0 * rough, 0 * bright, 0.0, 4, 16) == 16

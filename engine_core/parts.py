@@ -81,6 +81,11 @@ NOISY = 0.07
 """Of what suns bring, deviation along whole rays from which on a net serves them better; and of what any
 light does where shadows are coloured, which makes these rays dear."""
 
+FOLLOWED, MOST_FOLLOWED = 24, 64
+"""Lights in whose cones rays are, in the mean, up to which a net's points are of all lights: so they are
+followed, which points of one of many are not. And lights in all.
+"""
+
 LEARNING = 1 / 16
 """Of the points of all pixels if each asked for a whole net, what pilots may spend on what a net's points
 follow: about as much as corners of cells do."""
@@ -295,7 +300,9 @@ def _of_fog(
         return and_beams(tamed(scattering.rays, scattering.lights, of_spots, [], region).beams)
 
     def by_points(lights: np.ndarray) -> OverNet:
-        choice = scattering.choice_of_cells(lights, *cells(region), check)
+        choice = None
+        if not (by_net and _few_at_once(scattering, lights, region)):
+            choice = scattering.choice_of_cells(lights, *cells(region), check)
         learn, points = None, _growing(LIGHT_POINTS, settings.samples)
         light = ScatteredLight(scattering, lights, choice, check, by_phase)
         if choice is None and by_net:
@@ -408,6 +415,16 @@ def _asked(scattering: SingleScattering, region: Region) -> FogRays:
     )
     pixels = _pixels(region, x, y)
     return scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
+
+
+def _few_at_once(scattering: SingleScattering, lights: np.ndarray, region: Region) -> bool:
+    """Whether rays are in the cones of so few of many lights (L,) that points are of all of them. Meshes take
+    several times as long as others.
+    """
+    if not EVERY < len(lights) <= MOST_FOLLOWED or np.intersect1d(lights, scattering.of_mesh).size:
+        return False
+    lit = ScatteredLight(scattering, lights).lit_rays(_asked(scattering, region))
+    return lit.shape[1] == 0 or bool(lit.sum(axis=0).mean() <= FOLLOWED)
 
 
 def _noise_along(

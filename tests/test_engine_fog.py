@@ -533,6 +533,35 @@ def test_a_choice_among_many_lights_is_unbiased():
     )
 
 
+@pytest.mark.parametrize("boxes", [1, 2])
+def test_lights_whose_cones_a_ray_misses_would_bring_it_nothing(boxes, monkeypatch):
+    """Of spots and soft boxes with a grid, in fog in one piece and in two."""
+    rng, lights = np.random.default_rng(5), []
+    for position in rng.uniform((-2, -2, -5), (2, 2, -1), (8, 3)):
+        spot = spot_at(position, rng.uniform((-2, -2, -5), (2, 2, -1)), power=20.0, radius=0.3, angle=0.5)
+        lights += [
+            spot,
+            AreaLight(power=20.0, light_to_world=spot.light_to_world, size=(0.5, 0.2), spread=0.9),
+        ]
+    ends = [((-3, -3, -6), (3, 3, 1)), ((-1, -1, -4), (1, 1, -2))][:boxes]
+    scattering = fog(lights, [THIN], -1, [OCCLUDER, *(bounds(*end) for end in ends)])
+    integrand = ScatteredLight(scattering, np.arange(len(lights)))
+    rays = rays_of(integrand, 200)
+    u = rng.random((integrand.rest_dimensions, 200, 16))
+    lit = integrand.lit_rays(rays)
+    assert 0.02 < lit.mean() < 0.9
+
+    def dense() -> np.ndarray:
+        which, values = integrand.rest(rays, None, u)
+        return np.stack([np.bincount(which, channel, 3200) for channel in values])
+
+    found, shadow_rays = dense(), integrand.counts["shadow rays"]
+    monkeypatch.setattr(integrand, "lit_rays", lambda rays: np.ones_like(lit))
+    every = dense()
+    assert np.allclose(found, every, rtol=1e-6, atol=1e-9 * every.max()) and every.any()
+    assert integrand.counts["shadow rays"] >= 2 * shadow_rays
+
+
 def test_light_that_casts_no_shadow_is_seen_through_everything():
     free = PointLight(power=50, position=(1.2, 1.2, -1.5), casts_shadow=False)
     with_ball, without = (fog([free], [THIN], 0, m, clip_end=1.9) for m in ([OCCLUDER], []))

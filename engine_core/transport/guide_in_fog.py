@@ -66,11 +66,9 @@ class Guide:
         cells, and so on.
     """
 
-    def __init__(
-        self, knots: np.ndarray, gaining: Sequence[int], lights: int, edge: int, corner: tuple[int, int]
-    ) -> None:
-        """gaining : numbers of K lights of all. edge : of a tile. corner : of the first, in pixels."""
-        self._knots, self._gaining, self._lights = knots, gaining, lights
+    def __init__(self, knots: np.ndarray, gaining: Sequence[int], edge: int, corner: tuple[int, int]) -> None:
+        """gaining : numbers of K lights. edge : of a tile. corner : of the first, in pixels."""
+        self._knots, self.gaining = knots, gaining
         self._edge, self._corner = edge, corner
 
     @staticmethod
@@ -139,7 +137,7 @@ class Guide:
         if not gaining:
             return None
         knots = np.pad(np.stack(grids, axis=2), [(1, 1)] * 2 + [(0, 0)] * 3, mode="edge")
-        return Guide(knots, gaining, len(lights), edge, region[:2])
+        return Guide(knots, gaining, edge, region[:2])
 
     def tiles(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which four tiles (4, R) are around places (R,) in the whole frame, in pixels, and their weights."""
@@ -157,18 +155,17 @@ class Guide:
         )
 
     def stretched(
-        self, tiles: tuple[np.ndarray, np.ndarray], ray: np.ndarray, u: np.ndarray
+        self, light: int, tiles: tuple[np.ndarray, np.ndarray], ray: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Places (DIMENSIONS, L, N) at u (DIMENSIONS, N), and 1 / density (L, N).
+        """Places (DIMENSIONS, N) at u (DIMENSIONS, N) of a light that gains, and 1 / density (N,).
 
         tiles : about R rays. ray : (N,), which of these.
         """
         knots = self._knots.reshape(-1)
         first = tiles[0].take(ray, axis=1) * self._knots[0, 0].size
+        first += self.gaining.index(light) * GRIDS * (CELLS + 1)
         part = tiles[1].take(ray, axis=1)
-        place = np.empty((len(u), self._lights, u.shape[1]), np.float32)
-        place[:] = u[:, None]
-        weight = np.ones(place.shape[1:], np.float32)
+        place, weight = np.empty(u.shape, np.float32), np.ones(u.shape[1], np.float32)
         grid, before = 0, 0
         for d, at in enumerate(u):
             inside = at * np.float32(CELLS)
@@ -176,22 +173,20 @@ class Guide:
             inside -= cell
             knot = (grid + before) * (CELLS + 1) + cell
             grid, before = grid + CELLS**d, before * CELLS + cell
-            for light in self._gaining:
-                low = wide = np.float32(0)
-                for tile, of_tile in zip(first, part, strict=True):
-                    at_knot = tile + knot
-                    of_low = knots.take(at_knot)
-                    at_knot += 1
-                    of_wide = knots.take(at_knot)
-                    of_wide -= of_low
-                    of_low *= of_tile
-                    of_wide *= of_tile
-                    low, wide = of_low + low, of_wide + wide
-                np.multiply(wide, inside, out=place[d, light])
-                place[d, light] += low
-                wide *= np.float32(CELLS)
-                weight[light] *= wide
-                knot += GRIDS * (CELLS + 1)
+            low = wide = np.float32(0)
+            for tile, of_tile in zip(first, part, strict=True):
+                at_knot = tile + knot
+                of_low = knots.take(at_knot)
+                at_knot += 1
+                of_wide = knots.take(at_knot)
+                of_wide -= of_low
+                of_low *= of_tile
+                of_wide *= of_tile
+                low, wide = of_low + low, of_wide + wide
+            np.multiply(wide, inside, out=place[d])
+            place[d] += low
+            wide *= np.float32(CELLS)
+            weight *= wide
         return place, weight
 
 

@@ -145,13 +145,18 @@ class ScatteredLight(Scattered):
         """Which (J,) of N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
         weight = None
         if self._choice is None:
-            row = np.tile(np.arange(len(ray)), len(self._lights))
-            light = np.repeat(self._lights, len(ray))
-            which = np.tile(np.arange(u.shape[1]), len(self._lights))
+            number, row = np.nonzero(self.lit_rays(rays).take(ray, axis=1))
+            light = self._lights.take(number)
+            which = (row[:, None] * split + np.arange(split)).ravel()
             w, at = u[-1].take(which), take(u[:DIMENSIONS], which)
             if rays.tiles is not None:
-                at, weight = self.guide.stretched(rays.tiles, np.repeat(ray, split), u[:DIMENSIONS])
-                at, weight = at.reshape(DIMENSIONS, -1), weight.ravel()
+                weight, of_ray = np.ones(len(which), np.float32), np.repeat(ray, split)
+                bounds = np.searchsorted(number, np.arange(len(self._lights) + 1)) * split
+                for one in self.guide.gaining:
+                    part = slice(bounds[one], bounds[one + 1])
+                    at[:, part], weight[part] = self.guide.stretched(
+                        one, rays.tiles, of_ray.take(which[part]), at[:, part]
+                    )
             place = self._segment(rays, ray.take(row), light, at[0].reshape(-1, split))
             ray = ray.take(row)
         else:
@@ -234,6 +239,31 @@ class ScatteredLight(Scattered):
             found[i] = np.where(finite, near, t), np.where(finite, near_density, np.inf if i else density)
         return found
 
+    def lit_rays(self, rays: FogRays) -> np.ndarray:
+        """(L, R) bool, whether rays' fog meets the cones that lights shine in."""
+        cones, media = self._scattering.cones, rays.media
+        lit = np.ones((len(self._lights), len(rays)), bool)
+        if len(self._lights) > 1 and (coned := cones.coned.take(self._lights)).any():
+            number = np.flatnonzero(coned)
+            light = np.repeat(self._lights.take(number), len(rays))
+            ray = np.tile(np.arange(len(rays)), len(number))
+            start, end = media.start.take(rays.first[:-1]), media.end.take(rays.first[1:] - 1)
+            first, last = self._in_cones(rays, ray, light)
+            meets = np.minimum(last, end.take(ray)) > np.maximum(first, start.take(ray))
+            lit[number] = meets.reshape(len(number), -1)
+        return lit
+
+    def _in_cones(self, rays: FogRays, ray: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `in_cone`, of lights' cones, a little wider."""
+        cones = self._scattering.cones
+        first, last = in_cone(
+            *(take(x, light).astype(np.float64) for x in (cones.apex, cones.axis, cones.cos)),
+            take(rays.origin, ray),
+            take(rays.direction, ray),
+        )
+        margin = 1e-6 * (np.abs(first) + np.abs(last))
+        return first - margin, last + margin
+
     def _lit(
         self, rays: FogRays, ray: np.ndarray, light: np.ndarray, start: np.ndarray, length: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -244,14 +274,8 @@ class ScatteredLight(Scattered):
         if rows.size == 0:
             return low, high
         light, ray = light.take(rows), ray.take(rows)
-        first, last = in_cone(
-            *(take(x, light).astype(np.float64) for x in (cones.apex, cones.axis, cones.cos)),
-            take(rays.origin, ray),
-            take(rays.direction, ray),
-        )
-        margin = 1e-6 * (np.abs(first) + np.abs(last))
         first, last = (
-            np.clip(x - start.take(rows), 0, length.take(rows)) for x in (first - margin, last + margin)
+            np.clip(x - start.take(rows), 0, length.take(rows)) for x in self._in_cones(rays, ray, light)
         )
         some = np.flatnonzero(last > first)
         high = high.copy()

@@ -124,9 +124,9 @@ picture, a lantern of bars and hoops .11 to .33 in .36 to .46; what gains, less 
 .05.
 """
 
-BESIDE_NET = tuple((part, 0.01) for part, _ in HOPELESS)
-"""The same where a net of points takes over, which is better with most of what polynomials do not explain: it
-has half of their error in the same time where shadows are everywhere (leaves, a fan behind bars).
+BESIDE_NET, MANY = tuple((part, 0.01) for part, _ in HOPELESS), 4
+"""The same where a net of points takes over, from so many samples on: it has half of the error in the same
+time where shadows are everywhere (leaves, a fan behind bars). That of few is seen as a pattern.
 """
 
 BEYOND_HOPE = 0.5
@@ -155,7 +155,7 @@ class ScreenPicture:
         self._whole, self._rule, self._alone = by.whole, by.rule, by.alone
         self._outlines, self._elsewhere = by.outlines, by.elsewhere
         self._wedges, self._bodies = by.wedges, by.bodies
-        self._hopeless = HOPELESS if by.otherwise is None else BESIDE_NET
+        self._hopeless = HOPELESS if by.otherwise is None or settings.samples < MANY else BESIDE_NET
         self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own, as long as no sample is added to what the polynomials are.

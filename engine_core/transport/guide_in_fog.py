@@ -59,7 +59,9 @@ WORTH = 1.5, 2.0
 
 
 class Guide:
-    """Grids of tiles, of those of L lights that gain by it.
+    """Grids of tiles, of those lights that gain by it.
+
+    gaining : their numbers, K of them.
 
     knots : (rows + 2, columns + 2, K, GRIDS, CELLS + 1) float32, with tiles beyond the edges. Of a light's
         grids one is of the first dimension, the next are of the second where the first is in each of its

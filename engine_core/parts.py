@@ -258,8 +258,8 @@ def _of_fog(
     coloured = scattering.surfaces.any_transparent
     by_phase = None
     if scattering.is_peaked and rest.size:
-        every = np.arange(len(scattering.lights))
-        sine = _of_distance(scattering, every, _asked(scattering, region))
+        lamps, sine = np.setdiff1d(rest, scattering.of_mesh), np.zeros(len(scattering.lights))
+        sine[lamps] = _of_distance(scattering, lamps, _asked(scattering, region))
         by_phase = scattering.shares_of_phase(sine)
     if not by_net:
         small = small[:0]
@@ -305,7 +305,7 @@ def _of_fog(
             choice = scattering.choice_of_cells(lights, *cells(region), check)
         learn, points = None, _growing(LIGHT_POINTS, settings.samples)
         light = ScatteredLight(scattering, lights, choice, check, by_phase)
-        if choice is None and by_net:
+        if choice is None and by_net and len(lights) <= FOLLOWED:
             each = [ScatteredLight(scattering, np.array([one]), None, check, by_phase) for one in lights]
 
             def learn(map_: Map) -> None:
@@ -414,7 +414,7 @@ def _asked(scattering: SingleScattering, region: Region) -> FogRays:
         for a in np.meshgrid(np.linspace(x0, x1 - 1, RAYS_ASKED), np.linspace(y0, y1 - 1, RAYS_ASKED))
     )
     pixels = _pixels(region, x, y)
-    return scattering.first(pixels, np.full((2, len(pixels), 1), 0.5, np.float32))
+    return scattering.first(pixels, np.full((scattering.screen_dimensions, len(pixels), 1), 0.5, np.float32))
 
 
 def _few_at_once(scattering: SingleScattering, lights: np.ndarray, region: Region) -> bool:

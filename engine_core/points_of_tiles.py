@@ -106,7 +106,7 @@ def enough_points(rough: np.ndarray, bright: np.ndarray | None, noise: float, fe
         return usual
 
     def least(rough: float, error: float) -> float:
-        return (ERROR * rough / max(error, 1e-150) ** 2) ** (2 / 3)
+        return (ERROR * rough / max(error, 1e-100) ** 2) ** (2 / 3)
 
     # Channels are summed in that.
     hidden = least(rough.mean(), HIDDEN * noise * 3)

@@ -155,7 +155,8 @@ class ScreenPicture:
         self._whole, self._rule, self._alone = by.whole, by.rule, by.alone
         self._outlines, self._elsewhere = by.outlines, by.elsewhere
         self._wedges, self._bodies = by.wedges, by.bodies
-        self._hopeless = HOPELESS if by.otherwise is None or settings.samples < MANY else BESIDE_NET
+        by_net = by.otherwise is not None and settings.integrator != "cv_only"
+        self._hopeless = BESIDE_NET if by_net and settings.samples >= MANY else HOPELESS
         self._alone_cost = max(1.0, by.alone_rays / SHADOW_RAYS)
         self._settings, self._layer, self._check = settings, layer, check
         # The layer's own, as long as no sample is added to what the polynomials are.

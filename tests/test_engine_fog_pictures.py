@@ -575,3 +575,15 @@ def test_surfaces_have_more_samples_beside_fog_that_costs_more(name, monkeypatch
     means = [pictures.mean(axis=(1, 2, 3)) for pictures in (few, more)]
     error = np.hypot(*(mean.std(ddof=1) / 8**0.5 for mean in means))
     assert abs(means[1].mean() - means[0].mean()) < 4 * error
+
+
+@pytest.mark.parametrize("integrator", ["control_variates", "sobol"])
+def test_a_lens_sees_fog_whose_phase_function_has_a_peak(integrator):
+    matrix = np.diag([-1.0, 1.0, -1.0, 1.0])
+    matrix[:3, 3] = 0.3, 0.1, -3.0
+    light = AreaLight(power=30.0, light_to_world=matrix, size=(1.5, 1.2))
+    view = Camera.look_at((0, 0, 0), (0, 0, -1), 24, 16, 0.9, up=(0, 1, 0), aperture=0.05)
+    fog = Volume(scattering=0.15, anisotropy=0.85)
+    scene = Scene(view, (), (), (light,), World(volume=0), volumes=(fog,))
+    film = render(scene, Settings(4, integrator=integrator))
+    assert np.isfinite(film.combined).all() and film.volume.mean() > 0.1

@@ -97,6 +97,8 @@ class AirLights:
             brightness[start:stop] = group.far_fluence
             if group.cone_cos is not None:
                 axis[:, start:stop], cos[start:stop] = group.cone_axis, group.cone_cos
+            if group.skewed is not None:
+                cos[start:stop][group.skewed] = -1
             if group.is_flat:
                 flat[start:stop], self._flat_group, self._first_flat = True, group, start
                 core[:, start:stop], thickness[start:stop] = group.core, group.thickness
@@ -115,6 +117,8 @@ class AirLights:
         self._centre, self.apex, self.axis, self.cos, self._reach = (
             np.clip(x, -most, most).astype(np.float32) for x in (centre, apex, axis, cos, reach)
         )
+        # No narrower than they are.
+        self.cos = np.nextafter(self.cos, np.float32(0))
         core, thickness = take(core, self.only), np.where(self._far_off, 0, thickness.take(self.only))
         self.core, self.thickness = (np.clip(x, -most, most).astype(np.float32) for x in (core, thickness))
         self.long = dot(self.core, self.core) > 0

@@ -35,6 +35,9 @@ from .single_scattering import Places, Scattered, SingleScattering, run
 _STEPS = 8
 """Of the table by which "auto" follows extinction and phase function between a light's angles."""
 
+_AT_ONCE = 1 << 19
+"""Points of all lights at once, about."""
+
 _LOOKED_AT = 256
 """Lights, about, that stand for all where nothing but the rough brightness is wanted."""
 
@@ -71,7 +74,7 @@ def _cosine_to_edge(cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
     edge = cosine * half
     edge += np.sqrt(np.maximum(1 - cosine * cosine, 0)) * sine
     edge[cosine > half] = 1
-    return edge
+    return np.minimum(edge, 1, out=edge)
 
 
 class ScatteredLight(Scattered):
@@ -136,16 +139,32 @@ class ScatteredLight(Scattered):
         if len(rays.media.ray) > len(rays) or self._choice is not None:
             # Each point has a segment, or a light, of its own.
             ray, split = np.repeat(ray, split), 1
-        which, values = self._scattered(rays, ray, u, split)
+        if self._choice is not None:
+            which, values = self._scattered(rays, ray, None, u, split)
+            return which, self._bounded(values)
+        lit, parts = self.lit_rays(rays), []
+        step = max(1, _AT_ONCE // (len(self._lights) * split))
+        for low in range(0, len(ray), step):
+            some = ray[low : low + step]
+            points = u[:, low * split : (low + step) * split]
+            which, values = self._scattered(rays, some, lit.take(some, axis=1), points, split)
+            parts.append((which + low * split, values))
+        if len(parts) == 1:
+            which, values = parts[0]
+        else:
+            which, values = (np.concatenate(a, axis=-1) for a in zip(*parts, strict=True))
         return which, self._bounded(values)
 
     def _scattered(
-        self, rays: FogRays, ray: np.ndarray, u: np.ndarray, split: int
+        self, rays: FogRays, ray: np.ndarray, lit: np.ndarray | None, u: np.ndarray, split: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which (J,) of N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,)."""
+        """Which (J,) of N points get radiance (3, J), at u (D, N), ``split`` in a row of each ray (R,).
+
+        lit : (L, R) bool, by which lights, as far as is known; None if one is chosen.
+        """
         weight = None
-        if self._choice is None:
-            number, row = np.nonzero(self.lit_rays(rays).take(ray, axis=1))
+        if lit is not None:
+            number, row = np.nonzero(lit)
             light = self._lights.take(number)
             which = (row[:, None] * split + np.arange(split)).ravel()
             w, at = u[-1].take(which), take(u[:DIMENSIONS], which)
@@ -241,16 +260,15 @@ class ScatteredLight(Scattered):
 
     def lit_rays(self, rays: FogRays) -> np.ndarray:
         """(L, R) bool, whether rays' fog meets the cones that lights shine in."""
-        cones, media = self._scattering.cones, rays.media
+        media, every = rays.media, np.arange(len(rays))
         lit = np.ones((len(self._lights), len(rays)), bool)
-        if len(self._lights) > 1 and (coned := cones.coned.take(self._lights)).any():
-            number = np.flatnonzero(coned)
-            light = np.repeat(self._lights.take(number), len(rays))
-            ray = np.tile(np.arange(len(rays)), len(number))
-            start, end = media.start.take(rays.first[:-1]), media.end.take(rays.first[1:] - 1)
-            first, last = self._in_cones(rays, ray, light)
-            meets = np.minimum(last, end.take(ray)) > np.maximum(first, start.take(ray))
-            lit[number] = meets.reshape(len(number), -1)
+        if len(self._lights) == 1 or len(rays) == 0:
+            return lit
+        start, end = media.start.take(rays.first[:-1]), media.end.take(rays.first[1:] - 1)
+        # One at a time, as there may be many rays.
+        for number in np.flatnonzero(self._scattering.cones.coned.take(self._lights)):
+            first, last = self._in_cones(rays, every, np.full(len(rays), self._lights[number]))
+            lit[number] = np.minimum(last, end) > np.maximum(first, start)
         return lit
 
     def _in_cones(self, rays: FogRays, ray: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,7 +40,7 @@ from .shadows import Shadows
 from .surface_shading import SurfaceShader
 
 EVERY = 8
-"""Lights up to which all are sampled, and summed."""
+"""Lights up to which all are sampled in any case, and summed."""
 
 PEAKED, BY_PHASE = 0.55, (0.25, 0.5)
 """Anisotropy from where on directions to wide lights follow the phase function, too; and how many of them,
@@ -174,19 +174,21 @@ class SingleScattering:
     @property
     def is_peaked(self) -> bool:
         """Whether any phase function is so peaked that wide lights are best sampled by it, too."""
-        return bool(np.abs(self.anisotropy).max(initial=0) >= PEAKED)
+        return bool(np.abs(self.media.anisotropy).max(initial=0) >= PEAKED)
 
     def shares_of_phase(self, sine: np.ndarray) -> np.ndarray:
         """(L,) float32, part of the directions to lights that follow the phase function: of those that fill
         about what its peak does, or more. sine : (L,) of half the angles that they fill, from the fog.
         """
-        lights, width = self.lights, phase.width(np.abs(self.anisotropy).max())
+        lights, width = self.lights, phase.width(np.abs(self.media.anisotropy).max())
         shares = np.zeros(len(lights), np.float32)
         filled = (1 - np.sqrt(1 - np.minimum(sine, 1) ** 2)) / 2
         for group, start, stop in zip(lights.groups, lights.first[:-1], lights.first[1:], strict=True):
             if group.is_mesh or isinstance(group, SunEmitters):
                 continue
             wide = group.at_infinity | (filled[start:stop] > FILLED * width)
+            if group.skewed is not None:
+                wide &= ~group.skewed
             share = BY_PHASE[group.at_infinity and not group.has_tint]
             shares[start:stop] = np.where(wide & (group.size > 0), share, 0)
         return shares

@@ -96,7 +96,7 @@ class AreaEmitters(Emitters):
         tilt = [np.abs(dot(self._facing, edge)) for edge in (self._edge_x, self._edge_y)]
         oblique = (tilt[0] > 1e-4 * self._length[0]) | (tilt[1] > 1e-4 * self._length[1])
         self._tilt = np.where(oblique, 0.5 * (tilt[0] + tilt[1]), 0).astype(np.float32)
-        sheared |= oblique
+        self.skewed = sheared = sheared | oblique
         # No solid angle, and no part, for what is no rectangle.
         reach = np.where(self._ellipse, _ELLIPSE_NEAR, 1 / np.sqrt(_SMALL))
         self._large = np.where(sheared, 0, self._length.max(axis=0) * reach).astype(np.float32)

@@ -63,6 +63,8 @@ class Emitters:
         the cosine is at least 0, or -1 for a light that shines to all sides. None if all do.
     core, thickness : (3, L) and (L,) float64 of flat lights: half of what they are longer than wide, and from
         how near they bring no more.
+    skewed : (L,) bool of flat lights, which are no rectangle straight ahead: `hits` and cones are not quite
+        theirs. None if none are.
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
     is_flat : what it sends falls with the cosine to `cone_axis`, as `falloff` says.
@@ -75,6 +77,7 @@ class Emitters:
     thickness: np.ndarray | None = None
     cone_axis: np.ndarray | None = None
     cone_cos: np.ndarray | None = None
+    skewed: np.ndarray | None = None
     at_infinity = False
     is_mesh = False
     is_point = False

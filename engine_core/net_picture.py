@@ -116,10 +116,12 @@ class NetPicture:
         self._points = points // self._rounds
         self.told = f"about {self._points} points followed over the picture, {self._rounds} times"
 
-    def build(self, map_: Map, enough: Callable[[], bool], noise: float | None = None) -> None:
+    def build(
+        self, map_: Map, enough: Callable[[], bool], noise: float | None = None, around: float = 0.0
+    ) -> None:
         """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
         the nets that there are. noise : mean error of what is shown beside, of a pixel's channel, None if
-        that is not known.
+        that is not known. around : mean radiance of a channel of other fog that is shown.
         """
         if self._by.learn is not None:
             self._by.learn(map_)
@@ -128,7 +130,7 @@ class NetPicture:
         # Nothing is between corners on either side of an outline.
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
         self._beside = _whole_cells(outline)
-        self._counts = self._allocated(map_, noise)
+        self._counts = self._allocated(map_, noise, around)
         self._followed, apart = np.ones(self._tiles, bool), np.zeros(self._tiles, bool)
         if self._by.chooses and not self._alone:
             apart = self._tiles_apart(map_)
@@ -200,8 +202,8 @@ class NetPicture:
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
         self._by_fresh = np.full((3, *self._corners), np.nan)
 
-    def _allocated(self, map_: Map, noise: float | None) -> np.ndarray:
-        """(rows, columns) int of tiles: points of each, powers of two. noise : as in `build`."""
+    def _allocated(self, map_: Map, noise: float | None, around: float) -> np.ndarray:
+        """(rows, columns) int of tiles: points of each, powers of two. Arguments as in `build`."""
         shape = self._height, self._width
         rough, bright = roughness_of_tiles(
             self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
@@ -210,7 +212,7 @@ class NetPicture:
         # most of these points are asked for in each pixel.
         of_many = self._by.chooses
         noise, bright = (noise or 0) / (CELL if of_many else 1), None if of_many else bright
-        self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points))
+        self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points, around))
         counts = points_of_tiles(rough, self._points)
         self.noise = noise_of_points(rough, counts) / self._rounds**0.5
         return counts

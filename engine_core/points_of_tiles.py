@@ -95,12 +95,20 @@ def roughness_of_tiles(
     return found
 
 
-def enough_points(rough: np.ndarray, bright: np.ndarray | None, noise: float, fewest: int, usual: int) -> int:
+def enough_points(
+    rough: np.ndarray,
+    bright: np.ndarray | None,
+    noise: float,
+    fewest: int,
+    usual: int,
+    around: float = 0.0,
+) -> int:
     """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
     of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
 
     rough, bright : of `roughness_of_tiles`; None for the second if errors are none. fewest : 0 if it is as
-        many as usual.
+        many as usual. around : mean radiance of a channel of other fog that is shown, in which patterns are
+        seen the less.
     """
     if not fewest:
         return usual
@@ -115,7 +123,7 @@ def enough_points(rough: np.ndarray, bright: np.ndarray | None, noise: float, fe
     if bright is None or not bright.any():
         return usual
     most = min(hidden, MOST_TIMES * usual)
-    relative = np.sqrt(rough) / np.maximum(bright, DIM * bright.mean())
+    relative = np.sqrt(rough) / np.maximum(bright, DIM * (bright.mean() + 3 * around))
     return 1 << round(np.log2(np.clip(least(relative.mean() ** 2, PATTERN), usual, max(usual, most))))
 
 

@@ -234,7 +234,9 @@ class _Render:
                 )
                 build = picture.build
                 if isinstance(picture, NetPicture):
-                    build = partial(build, noise=noise)
+                    shown = [other.radiance[..., :3] for other in self._film.layers[1:] if other is not layer]
+                    around = sum(float(radiance.mean(dtype=np.float64)) for radiance in shown)
+                    build = partial(build, noise=noise, around=around)
                 outcome, ended = self._workers.drive(build, f"Building {part.name}")
                 if not ended:
                     outcome.result()

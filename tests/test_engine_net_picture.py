@@ -286,7 +286,10 @@ def test_points_are_few_where_noise_hides_them_and_many_where_they_make_a_patter
     # What is hidden is no pattern.
     assert points(0.2, 0.3) == 32
     assert points(0.2, 1.0) == 8
-    # Nor is what is in the dark beside what is bright.
+    # Nor is what is dim beside other fog.
+    rough = np.full((3, 5), 16**1.5 / ERROR)
+    assert enough_points(rough, np.ones((3, 5)), 0.0, 4, 16, around=200.0) == 16
+    # Nor what is in the dark beside what is bright.
     rough, bright = np.zeros((1, 4)), np.array([[1.0, 0, 0, 0]])
     rough[:, 1:] = 1e-6
     assert enough_points(rough, bright, 0.0, 4, 16) == 16

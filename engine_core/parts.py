@@ -326,14 +326,6 @@ def _of_fog(
             fewest=FEW_LIGHT_POINTS if choice is None else FEW_OF_MANY_LIGHTS,
         )
 
-    def instead(lights: np.ndarray, plain: StagedIntegrand) -> Callable[[], OverNet]:
-        def net() -> OverNet:
-            by = by_points(lights)
-            by.integrand.counts = plain.counts
-            return by
-
-        return net
-
     def by_rays(
         lights: np.ndarray,
         of_spots: dict[int, Wedge],
@@ -394,7 +386,13 @@ def _of_fog(
         parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
     if small.size:
         plain, of_spots = ScatteredLight(scattering, small, None, check), beams_of(small)
-        by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=instead(small, plain))
+
+        def net() -> OverNet:
+            by = by_points(small)
+            by.integrand.counts = plain.counts
+            return by
+
+        by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=net)
         parts.append(Part("fog lit by small lights", VOLUME, plain, 1, by))
     others = np.setdiff1d(rest, small)
     apart = np.intersect1d(others, scattering.of_mesh) if by_net and len(others) > EVERY else others[:0]

@@ -106,9 +106,9 @@ def enough_points(
     """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
     of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
 
-    rough, bright : of `roughness_of_tiles`; None for the second if errors are none. fewest : 0 if it is as
-        many as usual. around : mean radiance of a channel of other fog that is shown, in which patterns are
-        seen the less.
+    rough, bright : of `roughness_of_tiles`; None for the second if errors make no pattern.
+    fewest : 0 if it is as many as usual. around : mean radiance of a channel of other fog that is shown, in
+        which patterns are seen the less.
     """
     if not fewest:
         return usual
@@ -129,16 +129,14 @@ def enough_points(
 
 def noise_of_points(rough: np.ndarray, points: np.ndarray) -> float:
     """Error to be expected of a pixel's channel, on average, by ``points`` (rows, columns) of each tile.
-    rough : of `roughness_of_tiles`.
+    rough : the first of `roughness_of_tiles`.
     """
     # Channels are summed in that.
     return float(np.sqrt(ERROR / 9 * rough / points**1.5).mean())
 
 
 def points_of_tiles(rough: np.ndarray, mean: int) -> np.ndarray:
-    """(rows, columns) int, powers of two: points of each tile, about ``mean`` of these. rough : of
-    `roughness_of_tiles`.
-    """
+    """(rows, columns) int, powers of two: points of each tile, about ``mean`` of these. rough : as above."""
     return _shared(rough ** (GROWTH / 2), mean, int(np.clip(mean // 2, *FEWEST)))
 
 

@@ -43,7 +43,9 @@ def value(less: np.ndarray, more: np.ndarray, g: np.ndarray | float) -> np.ndarr
 
 
 def width(g: np.ndarray | float) -> np.ndarray | float:
-    """Part of all directions that a function as high as this one's mean would fill, the mean by itself."""
+    """Part of all directions that its peak fills, 1 over the integral of 4 pi `value`^2: by its Legendre
+    series, over the sum of (2 l + 1) g^(2 l).
+    """
     return (1 - g * g) ** 2 / (1 + g * g)
 
 

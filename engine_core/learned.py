@@ -7,8 +7,12 @@ import numpy as np
 
 from .integration.standard_error import box_sums
 
-LOG_BLOCK = 3
-"""log2 of the edge in pixels of the blocks that pilot samples speak for, with the blocks around."""
+LOG_BLOCK, MOST_LOG_BLOCK = 3, 5
+"""log2 of the edge in pixels of the blocks that pilot samples speak for, with the blocks around, and of where
+these are few."""
+
+IN_BLOCK = 4 / 3
+"""Pilot samples of a block: of one or two in all of its neighbourhood, one may be right by chance."""
 
 PLACE = 1 / 64
 """Part of what the neighbours' samples show that is believed of a pixel whatever the nodes say of it."""
@@ -26,24 +30,29 @@ class Learned:
     A pixel's own sample has no say in its own deviation, so that it may be kept.
     """
 
-    def __init__(self, floor: float, of_blocks: tuple[np.ndarray, np.ndarray], own: np.ndarray) -> None:
-        self._floor, self._of_blocks, self._own = floor, of_blocks, own
+    def __init__(
+        self, floor: float, of_blocks: tuple[np.ndarray, np.ndarray], log_block: int, own: np.ndarray
+    ) -> None:
+        self._floor, self._of_blocks, self._log_block, self._own = floor, of_blocks, log_block, own
 
     @classmethod
-    def of(cls, found: np.ndarray, rows: np.ndarray, said: np.ndarray, bright: float) -> Learned:
+    def of(
+        cls, found: np.ndarray, rows: np.ndarray, said: np.ndarray, bright: float, one_in: float = 1.0
+    ) -> Learned:
         """found : (R,) f - h squared in pixels ``rows`` (R,). said : (H, W) the nodes' deviation.
 
-        bright : the picture's mean radiance, channels summed.
+        bright : the picture's mean radiance, channels summed. one_in : of how many pixels one is of these.
         """
         width = said.shape[1]
+        log = int(np.ceil(np.clip(np.log2(IN_BLOCK * one_in) / 2, LOG_BLOCK, MOST_LOG_BLOCK)))
         floor = (
             (FLOOR * bright) ** 2
             + 1e-4 * float(np.einsum("yx,yx->", said, said, dtype=np.float64)) / said.size
             + 1e-300
         )
         own = np.square(said.reshape(-1)[rows], dtype=np.float64) + floor
-        shape = tuple(-(-n >> LOG_BLOCK) for n in said.shape)
-        block = (rows // width >> LOG_BLOCK) * shape[1] + (rows % width >> LOG_BLOCK)
+        shape = tuple(-(-n >> log) for n in said.shape)
+        block = (rows // width >> log) * shape[1] + (rows % width >> log)
         sums = [
             box_sums(np.bincount(block, weights, shape[0] * shape[1]).reshape(1, *shape), 1)[0]
             for weights in (found, own, np.ones(len(rows)))
@@ -61,14 +70,14 @@ class Learned:
         less = [s.reshape(-1)[block] for s in sums]
         less = (np.maximum(a - b, 0) for a, b in zip(less, (found, own, 1), strict=True))
         own_ratio, own_mean = ratio_and_mean(*less)
-        return cls(floor, ratio_and_mean(*sums), own * own_ratio + own_mean)
+        return cls(floor, ratio_and_mean(*sums), log, own * own_ratio + own_mean)
 
     def deviation(self, said: np.ndarray, rows: slice, further: np.ndarray) -> np.ndarray:
         """(h, W) float64 of pixels in some rows, the first of a block's.
 
         said : (h, W) the nodes'. further : (h, W) variance that is known for sure.
         """
-        ratio, mean = (_of_pixels(a, rows, said.shape[1]) for a in self._of_blocks)
+        ratio, mean = (_of_pixels(a, self._log_block, rows, said.shape[1]) for a in self._of_blocks)
         square = np.square(said, dtype=np.float64)
         square += self._floor
         square *= ratio
@@ -81,8 +90,8 @@ class Learned:
         return np.sqrt(self._own + np.square(further, dtype=np.float64))
 
 
-def _of_pixels(of_blocks: np.ndarray, rows: slice, width: int) -> np.ndarray:
-    """(h, W) of pixels in ``rows``, the first of a block's, values of their blocks."""
-    edge = 1 << LOG_BLOCK
-    values = of_blocks[rows.start >> LOG_BLOCK : -(-rows.stop >> LOG_BLOCK)]
+def _of_pixels(of_blocks: np.ndarray, log: int, rows: slice, width: int) -> np.ndarray:
+    """(h, W) of pixels in ``rows``, the first of a block's, values of their blocks of edge 2^log."""
+    edge = 1 << log
+    values = of_blocks[rows.start >> log : -(-rows.stop >> log)]
     return np.repeat(np.repeat(values, edge, axis=1)[:, :width], edge, axis=0)[: rows.stop - rows.start]

@@ -350,7 +350,7 @@ class ScreenPicture:
         chunks = [(n, part) for n, which in kinds for part in self._chunks(which, n)]
         squares = np.concatenate([np.zeros(0), *map_(few, chunks)])
         squares = np.split(squares, np.cumsum([len(which) for _, which in kinds[:-1]]))
-        deviation = self._expect([which for _, which in kinds], squares, map_)
+        deviation = self._expect([which for _, which in kinds], squares, PILOT_ONE_IN * dear, map_)
         wanted = deviation.copy()
         # Where a sample is cheaper, or brings more, more of them are worth it.
         weight = min(settings.samples**0.5, OUTLINE_WEIGHT) * np.sqrt(self._cost / self._alone_cost)
@@ -418,9 +418,11 @@ class ScreenPicture:
         ]
         self.seconds["allocation"] = perf_counter() - began
 
-    def _expect(self, kinds: list[np.ndarray], squares: list[np.ndarray], map_: Map) -> np.ndarray:
+    def _expect(
+        self, kinds: list[np.ndarray], squares: list[np.ndarray], one_in: float, map_: Map
+    ) -> np.ndarray:
         """(H, W) deviation of a sample, by ``squares`` of the first ones, of pixels of these kinds: see
-        `allocate`. The first have an h.
+        `allocate`. The first have an h, and are one in so many of these.
         """
         # Of each region, and of none.
         of_region, inside, crossed = (
@@ -434,7 +436,7 @@ class ScreenPicture:
             return float(_summed(self._mean[rows]).sum(dtype=np.float64))
 
         bright = sum(map_(look_up, self._rows())) / region.size
-        learned = Learned.of(squares[0], pilot, said, bright)
+        learned = Learned.of(squares[0], pilot, said, bright, one_in)
 
         def expect(rows: slice) -> None:
             # What a node says of its own noise is known: few samples would miss what is rare in it.

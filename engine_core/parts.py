@@ -130,6 +130,7 @@ class OverScreen:
     wedges : parts of the picture that no region knows whose nodes all lie beside them.
     bodies : of a region of the picture and a map_, which bodies of fog are seen, as `silhouettes`.
     otherwise : makes what serves it better where polynomials are given up; None if samples of ``alone`` do.
+    followed : whether that follows every light, and is better wherever shadows are everywhere.
     """
 
     whole: StagedIntegrand
@@ -142,6 +143,7 @@ class OverScreen:
     wedges: tuple[Wedge, ...]
     bodies: Callable[[Region, Map], np.ndarray | None]
     otherwise: Callable[[], OverNet] | None = None
+    followed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,8 +334,9 @@ def _of_fog(
         pixels: Callable[[Region, Map], np.ndarray],
         many: bool = False,
         otherwise: Callable[[], OverNet] | None = None,
+        followed: bool = False,
     ) -> OverScreen:
-        """pixels : that are no polynomial's."""
+        """pixels : that are no polynomial's. otherwise, followed : of `OverScreen`."""
         whole = ScatteredAlongRay(scattering, lights, check, tamed=calm, samples_too=many)
         # With a shadow on the way.
         node = whole.nodes + 2 * BISECTIONS
@@ -349,6 +352,7 @@ def _of_fog(
             tuple(of_spots.values()),
             outlines.bodies,
             otherwise,
+            followed,
         )
 
     # Of many lights, blocks have the peaks alone.
@@ -392,7 +396,8 @@ def _of_fog(
             by.integrand.counts = plain.counts
             return by
 
-        by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=net)
+        followed = len(small) <= EVERY or _few_at_once(scattering, small, region)
+        by = by_rays(small, of_spots, and_narrow(of_spots), otherwise=net, followed=followed)
         parts.append(Part("fog lit by small lights", VOLUME, plain, 1, by))
     others = np.setdiff1d(rest, small)
     apart = np.intersect1d(others, scattering.of_mesh) if by_net and len(others) > EVERY else others[:0]

@@ -361,12 +361,11 @@ def test_all_lights_are_sampled_as_each_group_says():
     light = np.sort(random.integers(0, len(lights), count))
     position = random.uniform(-2, 2, (3, count)).astype(np.float32)
     u = random.random((3, count), np.float32)
-    to_light, weight, at_infinity, is_mesh = lights.sample_in_space(light, position, u[:2], u[2])
+    to_light, weight, at_infinity = lights.sample_in_space(light, position, u[:2], u[2])
     strength = lights.strength_in_space(light, position, to_light, u[2])
     density = lights.density_in_space(light, position, to_light, u[2])
     assert np.isfinite(strength).all() and (strength >= 0).all() and not np.isnan(density).any()
     assert np.array_equal(at_infinity, np.isinf(lights.reach)[light])
-    assert is_mesh.any() and not is_mesh.all()
     beyond = np.linalg.norm(position + to_light - lights.centre[:, light], axis=0) - lights.reach[light]
     assert (beyond < 1e-5).all()
     # As surfaces have it, who need a normal for the same.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -308,10 +309,25 @@ def test_emissive_mesh_of_many_triangles_is_the_square_that_they_fill(parts):
     check(scene, POWER * polygon_form_factor(corners), light_samples=1)
 
 
-def test_closed_emissive_mesh_hides_its_own_back():
-    mesh = box(PATCH + (-0.3, -0.2, 0.5), PATCH + (0.3, 0.2, 0.9), materials=1)
-    bottom = PATCH + np.array([[-0.3, -0.2, 0.5], [0.3, -0.2, 0.5], [0.3, 0.2, 0.5], [-0.3, 0.2, 0.5]])
-    check(lit_patch(meshes=[mesh], materials=(WHITE, GLOWING)), POWER * polygon_form_factor(bottom))
+@pytest.mark.parametrize(("height", "thickness"), [(0.5, 0.4), (20.0, 1e-3)])
+def test_closed_emissive_mesh_hides_its_own_back(height, thickness):
+    low, high = PATCH + (-0.3, -0.2, height), PATCH + (0.3, 0.2, height + thickness)
+    bottom = PATCH + np.array(
+        [[x, y, height] for x, y in ((-0.3, -0.2), (0.3, -0.2), (0.3, 0.2), (-0.3, 0.2))]
+    )
+    scene = lit_patch(meshes=[box(low, high, materials=1)], materials=(WHITE, GLOWING))
+    check(scene, POWER * polygon_form_factor(bottom))
+
+
+@pytest.mark.parametrize("height", [1e-2, 0.3])
+def test_an_emissive_mesh_next_to_the_floor_does_not_shadow_itself(height):
+    corners = np.array([[-3.0, -4.0, height], [3.0, -4.0, height], [3.0, 4.0, height], [-3.0, 4.0, height]])
+    mesh = Mesh(PATCH + corners, [[0, 1, 2], [0, 2, 3]], materials=1)
+    scene = lit_patch(meshes=[mesh], materials=(WHITE, GLOWING))
+    low = np.array(scene.camera.camera_to_world)
+    low[2, 3] = height / 2
+    scene = replace(scene, camera=replace(scene.camera, camera_to_world=low))
+    check(scene, POWER * polygon_form_factor(PATCH + corners))
 
 
 # -- several at once -----------------------------------------------------------------------------------

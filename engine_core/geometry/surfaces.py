@@ -17,7 +17,7 @@ from .vectors import dot, inverse_length, take
 ALL_CAST, NONE_CAST = 0, 1
 """Numbers of blockers: all surfaces that cast shadows, and none, nor fog."""
 
-# A shadow ray to a point on a mesh ends this fraction short of it, or it would hit the light itself.
+# A shadow ray to a point that may lie on a surface, which is no light itself, ends this fraction short of it.
 SHORTFALL = np.float32(1.0 - 1e-4)
 
 
@@ -219,15 +219,15 @@ class Surfaces:
         to_light: np.ndarray,
         cos_shading: np.ndarray,
         at_infinity: np.ndarray | bool,
-        shortened: np.ndarray | bool,
+        short: bool = False,
     ) -> tuple[np.ndarray, np.ndarray, float | np.ndarray]:
         """Rays from points[index] to where ``to_light`` leads: origins, directions (K, 3), and their reach.
 
         index : (K,) into ``points``.
         to_light : (3, K) float32, from the point to the light (any length if ``at_infinity``).
         cos_shading : (K,) float32, cosine of it to the shading normal.
-        at_infinity, shortened : (K,) bool, or a bool for all: a light without a distance, and a light
-            that is itself among the triangles.
+        at_infinity : (K,) bool, or a bool for all: a light without a distance.
+        short : whether there may be a surface where rays end.
         """
         geometric = take(points.geometric, index)
         triangle = points.triangle.take(index)
@@ -247,8 +247,7 @@ class Surfaces:
                     directions[:, i] = to_light[i]
             else:
                 np.subtract(to_light[i], offset[i] * finite, out=directions[:, i])
-        one = np.float32(1.0)
-        reach = np.where(at_infinity, FAR, np.where(shortened, SHORTFALL, one)).astype(np.float32)
+        reach = np.where(at_infinity, FAR, SHORTFALL if short else 1).astype(np.float32)
         return origins, directions, float(reach) if reach.ndim == 0 else reach
 
     def occluded(

@@ -438,7 +438,7 @@ class DirectLight:
         lit, bad = _finite(value.max(axis=0))
         which, at, direction, value = which.take(lit), at.take(lit), take(direction, lit), take(value, lit)
         cosine = dot(take(points.normal, at), direction)
-        origins, directions, _ = self.surfaces.shadow_rays(points, at, direction, cosine, True, False)
+        origins, directions, _ = self.surfaces.shadow_rays(points, at, direction, cosine, True)
         value *= self.shadows.glow(origins, directions)
         return Reflected(which, value, Counter({BSDF: len(at), NON_FINITE: bad}))
 

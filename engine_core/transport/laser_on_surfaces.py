@@ -65,7 +65,6 @@ class Towards:
     at: np.ndarray
     to_light: np.ndarray
     at_infinity: bool = False
-    is_mesh: bool = True
 
 
 EVERYTHING = Linking()
@@ -229,7 +228,8 @@ class LaserOnSurfaces:
         light gets through; None for all.
         """
         cosine = dot(take(hits.points.normal, at), to_beam) * inverse_length(to_beam)
-        arrive, part, crossings = self._shadows.arriving(hits.points, Towards(at, to_beam), cosine, blockers)
+        towards = Towards(at, to_beam)
+        arrive, part, crossings = self._shadows.arriving(hits.points, towards, cosine, blockers, short=True)
         self._count(SHADOW, len(at))
         self._count(CROSSING, crossings)
         return arrive, part

@@ -116,7 +116,9 @@ class LasersSeen:
         back = (-axis * v).astype(np.float32)
         if beam.blockers != NONE_CAST:
             cosine = dot(take(points.normal, at), take(direction, lit))
-            arrive, part, crossings = self._shadows.arriving(points, Towards(at, back), cosine, beam.blockers)
+            arrive, part, crossings = self._shadows.arriving(
+                points, Towards(at, back), cosine, beam.blockers, short=True
+            )
             self._count(SHADOW, len(at))
             self._count(CROSSING, crossings)
             at, v, back, value = at.take(arrive), v.take(arrive), take(back, arrive), take(value, arrive)

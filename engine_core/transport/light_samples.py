@@ -31,7 +31,7 @@ class LightSamples:
     light : (K,) number, ascending; None if there is but one.
     to_light : (3, K). weight : (K,) what strength, or radiance, times the cosine is multiplied with.
     chance : (K,) probability that the light was chosen, None for 1.
-    at_infinity, is_mesh : (K,) bool, or a bool for all.
+    at_infinity : (K,) bool, or a bool for all.
     w : (K,) the point of primary space that chose a piece of a mesh; None of what is no sample of a mesh.
     """
 
@@ -42,7 +42,6 @@ class LightSamples:
     weight: np.ndarray
     chance: np.ndarray | None
     at_infinity: np.ndarray | bool
-    is_mesh: np.ndarray | bool
     w: np.ndarray | None = None
 
     def take(self, rows: np.ndarray) -> LightSamples:
@@ -138,7 +137,6 @@ class SceneLights(Lights):
                 weight,
                 None,
                 group.at_infinity,
-                group.is_mesh,
                 u[-1] if group.is_mesh else None,
             )
         if isinstance(choice, EveryLight):
@@ -160,26 +158,24 @@ class SceneLights(Lights):
             light, chance, w = light.take(order), chance.take(order), w.take(order)
         at = order if at is None else at.take(order)
         position, normal = take(points.position, at), take(points.normal, at)
-        to_light, weight, at_infinity, is_mesh = self._sample_sorted(
-            light, position, normal, w, take(u[:2], order)
-        )
+        to_light, weight, at_infinity = self._sample_sorted(light, position, normal, w, take(u[:2], order))
         if chance is not None:
             weight /= chance
         w = w if self.any_mesh else None
-        return LightSamples(order, at, light, to_light, weight, chance, at_infinity, is_mesh, w)
+        return LightSamples(order, at, light, to_light, weight, chance, at_infinity, w)
 
     def sample_in_space(
         self, light: np.ndarray | None, position: np.ndarray, u: np.ndarray, w: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool, np.ndarray | bool]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool]:
         """Samples of lights ``light`` (K,), ascending, from points (3, K) in space; None for the only light.
 
         u : (2, K) on the light. w : (K,) to choose among a mesh's pieces.
-        Returns vectors (3, K), weights (K,), `at_infinity` and `is_mesh`, as in `LightSamples`. Weight times
+        Returns vectors (3, K), weights (K,) and `at_infinity`, as in `LightSamples`. Weight times
         `strength_in_space` is fluence, what all directions together bring of the light.
         """
         if light is None:
             group = self.groups[0]
-            return *group.sample(None, position, None, w, u), group.at_infinity, group.is_mesh
+            return *group.sample(None, position, None, w, u), group.at_infinity
         return self._sample_sorted(light, position, None, w, u)
 
     def met_in_space(
@@ -204,7 +200,7 @@ class SceneLights(Lights):
         """Samples of lights in ascending order, kind after kind."""
         n = len(light)
         to_light, weight = np.empty((3, n), np.float32), np.empty(n, np.float32)
-        at_infinity, is_mesh = np.zeros((2, n), bool)
+        at_infinity = np.zeros(n, bool)
         cuts = np.searchsorted(light, self.first)
         for group, start, low, high in zip(self.groups, self.first[:-1], cuts[:-1], cuts[1:], strict=True):
             if low == high:
@@ -215,12 +211,9 @@ class SceneLights(Lights):
                 which, position[:, part], None if normal is None else normal[:, part], w[part], u[:, part]
             )
             at_infinity[part] = group.at_infinity
-            is_mesh[part] = group.is_mesh
         if len({group.at_infinity for group in self.groups}) == 1:
             at_infinity = self.groups[0].at_infinity
-        if len({group.is_mesh for group in self.groups}) == 1:
-            is_mesh = self.groups[0].is_mesh
-        return to_light, weight, at_infinity, is_mesh
+        return to_light, weight, at_infinity
 
     def strength(self, points: SurfacePoints, samples: LightSamples, rows: np.ndarray) -> np.ndarray:
         """(3, J) or (3, 1) strength of the lights of samples ``rows`` (J,), towards their points."""
@@ -344,7 +337,7 @@ class SceneLights(Lights):
         the density (J,) with which `sample` would have taken them, but for the light's chance.
         """
         position, normal = take(points.position, at), take(points.normal, at)
-        lanes, lights, distances, radiances, densities = [], [], [], [], []
+        lanes, lights, vectors, radiances, densities = [], [], [], [], []
         for group, start in zip(self.groups, self.first[:-1], strict=True):
             if group.is_point:
                 continue
@@ -357,22 +350,21 @@ class SceneLights(Lights):
                 found = self._mesh_along(group, position, position + lift, normal, direction)
             else:
                 found = self._group_along(group, position, normal, direction)
-            for lane, light, distance, radiance, density in found:
+            for lane, light, to_light, radiance, density in found:
                 lanes.append(lane)
                 lights.append(light + start)
-                distances.append(distance)
+                vectors.append(to_light)
                 radiances.append(radiance)
                 densities.append(density)
         if not lanes:
-            lanes, lights, distances, densities = ([np.zeros(0, t)] for t in (np.intp, np.intp, "f4", "f4"))
-            radiances = [np.zeros((3, 0), np.float32)]
+            lanes, lights, densities = ([np.zeros(0, t)] for t in (np.intp, np.intp, np.float32))
+            vectors = radiances = [np.zeros((3, 0), np.float32)]
         light = np.concatenate(lights)
         order = np.argsort(light, kind="stable")
         light, lane = light.take(order), np.concatenate(lanes).take(order)
-        to_light = take(direction, lane) * np.concatenate(distances).take(order)
-        is_mesh = light >= self.first[-2] if self._mesh is not None else False
+        to_light = take(np.concatenate(vectors, axis=1), order)
         samples = LightSamples(
-            lane, at.take(lane), light, to_light, None, None, self._at_infinity.take(light), is_mesh
+            lane, at.take(lane), light, to_light, None, None, self._at_infinity.take(light)
         )
         radiance = take(np.concatenate(radiances, axis=1), order)
         if not self.links.all_lit:
@@ -388,7 +380,7 @@ class SceneLights(Lights):
             to_light = take(direction, hits.lane) * hits.distance
             which = hits.light if len(group) > 1 else None
             density = group.pdf(which, take(position, hits.lane), take(normal, hits.lane), to_light)
-            yield hits.lane, hits.light, hits.distance, radiance, density
+            yield hits.lane, hits.light, to_light, radiance, density
 
     def _mesh_along(
         self, group, position: np.ndarray, start: np.ndarray, normal: np.ndarray, direction: np.ndarray
@@ -434,6 +426,7 @@ class SceneLights(Lights):
         """What `along` says of pieces (K,) that rays (K,) meet."""
         light = group.light_of.take(piece)
         to_light = take(direction, ray) * distance
+        group.lift(piece, to_light)
         density = group.pdf_of_piece(piece, take(position, ray), take(normal, ray), to_light)
         radiance = take(group.radiance, light)
         triangle, u, v = group.on_scene(piece, u, v)
@@ -442,4 +435,4 @@ class SceneLights(Lights):
             radiance[:, varies] = self._emission(
                 triangle.take(varies), u.take(varies), v.take(varies), take(to_light, varies)
             )
-        return ray, light, distance, radiance, density
+        return ray, light, to_light, radiance, density

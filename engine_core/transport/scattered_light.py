@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..geometry.raytracer import FAR
-from ..geometry.surfaces import NONE_CAST, SHORTFALL
+from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, inverse_length, take
 from . import phase
 from .camera_hits import Pixels
@@ -350,7 +350,7 @@ class ScatteredLight(Scattered):
         direction = take(rays.direction, ray)
         position = take(rays.origin, ray) + direction * (media.start.take(row) + far)
         number = None if len(lights) == 1 else light
-        to_light, weight, at_infinity, is_mesh = self._towards(
+        to_light, weight, at_infinity = self._towards(
             number, position, direction, scattering.anisotropy.take(mixture), u, w
         )
         passed = passed * weight
@@ -360,7 +360,7 @@ class ScatteredLight(Scattered):
             direction, position, to_light, passed = (
                 take(x, lit) for x in (direction, position, to_light, passed)
             )
-            at_infinity, is_mesh = (x if np.ndim(x) == 0 else x.take(lit) for x in (at_infinity, is_mesh))
+            at_infinity = at_infinity if np.ndim(at_infinity) == 0 else at_infinity.take(lit)
             number = None if number is None else light
         less, more = phase.half_angle(to_light * inverse_length(to_light), direction)
         scattered = np.zeros((3, len(ray)))
@@ -371,7 +371,7 @@ class ScatteredLight(Scattered):
         scattered *= lights.strength_in_space(number, position, to_light, w)
         if rays.through is not None:
             scattered *= take(rays.through, row)
-        arrive, part = self._passing(position, to_light, at_infinity, is_mesh, light)
+        arrive, part = self._passing(position, to_light, at_infinity, light)
         scattered = take(scattered, arrive)
         if part is not None:
             scattered *= part
@@ -403,7 +403,7 @@ class ScatteredLight(Scattered):
         by_phase, u = u[0] < share, u.copy()
         u[0] -= np.where(by_phase, 0, share)
         u[0] /= np.where(by_phase, share, 1 - share)
-        to_light, weight, at_infinity, is_mesh = lights.sample_in_space(light, position, u, w)
+        to_light, weight, at_infinity = lights.sample_in_space(light, position, u, w)
         rows = np.flatnonzero(by_phase)
         if rows.size:
             unit = phase.sample(take(direction, rows), g.take(rows), take(u, rows))
@@ -416,11 +416,9 @@ class ScatteredLight(Scattered):
         less, more = phase.half_angle(vector * inverse_length(vector), along)
         density = share * phase.value(less, more, g.take(rows)) + (1 - share) * of_light
         weight[rows] *= np.where(by_phase.take(rows), 1, of_light) / density
-        return to_light, weight, at_infinity, is_mesh
+        return to_light, weight, at_infinity
 
-    def _passing(
-        self, position, to_light, at_infinity, is_mesh, light
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def _passing(self, position, to_light, at_infinity, light) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of shadow rays arrive, and what part (3, J) surfaces leave of them, None for all."""
         scattering = self._scattering
         blockers = scattering.lights.links.casting(light)
@@ -430,7 +428,7 @@ class ScatteredLight(Scattered):
         origins, directions = (
             np.ascontiguousarray(take(x, rows).T, np.float32) for x in (position, to_light)
         )
-        reach = np.where(at_infinity, FAR, np.where(is_mesh, SHORTFALL, 1)).astype(np.float32)
+        reach = np.where(at_infinity, FAR, 1).astype(np.float32)
         reach = float(reach) if reach.ndim == 0 else reach.take(rows)
         arrive, part, crossings = scattering.shadows.passing(origins, directions, reach, blockers)
         self._count(SHADOW, len(rows))

@@ -21,7 +21,6 @@ class Towards(Protocol):
     at: np.ndarray
     to_light: np.ndarray
     at_infinity: np.ndarray | bool
-    is_mesh: np.ndarray | bool
 
 
 class Shadows:
@@ -45,15 +44,16 @@ class Shadows:
         towards: Towards,
         cosine: np.ndarray,
         blockers: np.ndarray | int = ALL_CAST,
+        short: bool = False,
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
         """Which (J,) arrive at all, what part (3, J) of each (None: the whole), and how many further rays
         looked for transparent surfaces.
 
         cosine : (K,) of the directions to the points' shading normals.
-        blockers : (K,) or one, as of `Surfaces`.
+        blockers : (K,) or one, as of `Surfaces`. short : as in `Surfaces.shadow_rays`.
         """
         origins, directions, reach = self._surfaces.shadow_rays(
-            points, towards.at, towards.to_light, cosine, towards.at_infinity, towards.is_mesh
+            points, towards.at, towards.to_light, cosine, towards.at_infinity, short
         )
         arrive, part, rays = self.passing(origins, directions, reach, blockers)
         if self._media is None:

@@ -104,5 +104,6 @@ def emitter_groups(
         of_light = pieces.row[pieces.first[:-1]]
         radiance = [materials[number].emission for number in triangles.material[of_light]]
         number, linking = triangles.linked(of_light)
-        groups.append(MeshEmitters(np.maximum(radiance, 0), pieces, [linking[k] for k in number]))
+        linking = [linking[k] for k in number]
+        groups.append(MeshEmitters(np.maximum(radiance, 0), pieces, linking, triangles.offset))
     return groups, messages

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...geometry.triangles import OFFSET_ULPS
 from ...geometry.vectors import dot, take
 from ...scene import Linking
 from .base import Emitters, area_to_solid_angle, vectors_to
@@ -33,9 +34,15 @@ class MeshEmitters(Emitters):
     is_mesh = True
 
     def __init__(
-        self, radiance: Sequence[np.ndarray], pieces: Pieces, linking: Sequence[Linking] | None = None
+        self,
+        radiance: Sequence[np.ndarray],
+        pieces: Pieces,
+        linking: Sequence[Linking] | None = None,
+        offset: np.ndarray | None = None,
     ) -> None:
-        """radiance : (3,) of each light. linking : of each, None for lights that are linked to all."""
+        """radiance : (3,) of each light. linking : of each, None for lights that are linked to all.
+        offset : (T,) of the scene's triangles, as of `Triangles`; None for next to nothing.
+        """
         corner, a, b = np.moveaxis(pieces.corners, 1, 0).copy()
         a -= corner
         b -= corner
@@ -45,6 +52,7 @@ class MeshEmitters(Emitters):
         with np.errstate(invalid="ignore", divide="ignore"):
             normal = np.nan_to_num(normal.T / double_area)
         self._normal = normal.astype(np.float32)
+        self._offset = np.zeros(len(pieces.row), np.float32) if offset is None else offset.take(pieces.row)
         self.row, self.corners, self._weights = pieces.row, pieces.corners.astype(np.float32), pieces.weights
         first, count = pieces.first, np.diff(pieces.first)
         self.chooses = bool(count.max() > 1)
@@ -88,7 +96,7 @@ class MeshEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         measure = np.abs(dot(take(self._normal, piece), to_light))
         measure /= square * np.sqrt(square)
-        near, seen = self._near(piece, corner, normal is None)
+        near, seen = self._near(piece, corner)
         if near.size:
             for out, values in zip(to_light, seen.sample(take(u, near)), strict=True):
                 out[near] = np.where(seen.usable, values, out[near])
@@ -96,15 +104,25 @@ class MeshEmitters(Emitters):
             measure[near] = np.where(seen.usable, by_angle, measure[near])
         if gain is not None:
             measure *= gain
+        self.lift(piece, to_light)
         return to_light, measure
 
-    def _near(
-        self, piece: np.ndarray, corner: np.ndarray, precise: bool
-    ) -> tuple[np.ndarray, SphericalTriangle | None]:
+    def lift(self, piece: np.ndarray, to_light: np.ndarray) -> None:
+        """Let vectors (3, M) to places on pieces (M,) end off these, so that these do not shadow themselves.
+        Shortened by a part of the way, from afar they would end before a thin body's front, too.
+        """
+        normal = take(self._normal, piece)
+        normal *= np.copysign(self._gap(piece, dot(to_light, to_light)), dot(normal, to_light))
+        to_light -= normal
+
+    def _gap(self, piece: np.ndarray, square: np.ndarray) -> np.ndarray:
+        """(M,) how far off pieces (M,) vectors to them end, which are the root of ``square`` long."""
+        return np.maximum(np.sqrt(square) * np.float32(OFFSET_ULPS * 2.0**-24), self._offset.take(piece))
+
+    def _near(self, piece: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, SphericalTriangle | None]:
         """Lanes of ``piece`` (M,) that are near enough for their solid angle, and these as seen.
 
-        corner : (3, M) vectors to the first corners. precise : for points in space, which come so near that a
-        triangle fills the half space.
+        corner : (3, M) vectors to the first corners.
         """
         near = np.flatnonzero(dot(corner, corner) < self._near_corner.take(piece))
         if near.size == 0:
@@ -117,8 +135,8 @@ class MeshEmitters(Emitters):
             return nearer, None
         if nearer.size < near.size:
             near, corner, b, c = near.take(nearer), take(corner, nearer), take(b, nearer), take(c, nearer)
-        kind = np.float64 if precise else np.float32
-        return near, SphericalTriangle(*(x.astype(kind, copy=False) for x in (corner, b, c)))
+        # Of a triangle so near that it fills the half space, single precision would lose a part.
+        return near, SphericalTriangle(*(x.astype(np.float64) for x in (corner, b, c)))
 
     def _chosen(
         self, which: np.ndarray | None, position: np.ndarray, w: np.ndarray
@@ -158,12 +176,15 @@ class MeshEmitters(Emitters):
     def pdf_of_piece(
         self, piece: np.ndarray, position: np.ndarray, normal: np.ndarray | None, to_light: np.ndarray
     ) -> np.ndarray:
-        """(M,) density per solid angle, given its light, of points on pieces (M,). to_light : (3, M)."""
+        """(M,) density per solid angle, given its light, of points on pieces (M,).
+
+        to_light : (3, M), lifted.
+        """
         light = self.light_of.take(piece)
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
-        cosine_d = np.abs(dot(take(self._normal, piece), to_light))
+        cosine_d = np.abs(dot(take(self._normal, piece), to_light)) + self._gap(piece, square)
         density = area_to_solid_angle(square, cosine_d, self._area.take(light))
-        near, seen = self._near(piece, vectors_to(self._corner, piece, position), normal is None)
+        near, seen = self._near(piece, vectors_to(self._corner, piece, position))
         if near.size:
             share = self._area_of.take(piece.take(near)) / self._area.take(light.take(near))
             by_angle = share / np.maximum(seen.solid_angle, np.float32(1e-30))

@@ -111,6 +111,30 @@ def test_they_converge_to_one_picture_with_less_noise(name):
     assert_modes_agree(glossy_studio(name, 32), 24)
 
 
+@pytest.mark.parametrize("turn", range(4))
+def test_what_lobes_meet_of_a_body_that_glows_is_not_behind_it(turn):
+    """At their place off its faces, however these and the floor are turned."""
+
+    def turned(mesh, matrix):
+        return replace(mesh, vertices=mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+
+    body = box((-0.6, -0.8, -0.25), (0.6, 0.8, 0.25), materials=1)
+    body = turned(body, place((1, 1, 0.4), (0.4, 1.1, turn)))
+    ground = turned(floor(30.0), place((0, 0, 0), (0.05 * turn, -0.03 * turn, 0)))
+    camera = Camera.look_at((0, -6, 3), (1, 2, 0), 24, 16, 0.7)
+    materials = Material(surface=Glossy(0.8, 0.5)), Material(0.0, 1.0)
+    scene = Scene(camera, (ground, body), materials)
+    by_light, by_lobe = (
+        pictures(scene, 4, samples=64, integrator="sobol", direct_sampling=sampling)
+        for sampling in ("light", "bsdf")
+    )
+    lit = by_light[..., 0].mean(axis=0) < 0.9
+    values = [picture[:, lit, 0].mean(axis=1) for picture in (by_light, by_lobe)]
+    error = np.sqrt(sum(value.var(ddof=1) for value in values) / 4)
+    assert abs(values[0].mean() - values[1].mean()) < 4 * error + 2e-3 * values[0].mean()
+    assert error < 1.2e-2 * values[0].mean()
+
+
 def seen(closure, *lights, above=(), world=0.0, samples=64, **settings) -> np.ndarray:
     """(4,) mean of a small patch of floor of a closure, with further meshes (z, closure) over it."""
     materials = [Material(surface=closure)] + [Material(surface=c) for _, c in above]

@@ -347,7 +347,7 @@ class SceneLights(Lights):
                 lift = (
                     np.copysign(self._triangles.offset.take(triangle), dot(geometric, direction)) * geometric
                 )
-                found = self._mesh_along(group, position, position + lift, normal, direction)
+                found = self._mesh_along(group, position, lift, normal, direction)
             else:
                 found = self._group_along(group, position, normal, direction)
             for lane, light, to_light, radiance, density in found:
@@ -383,17 +383,17 @@ class SceneLights(Lights):
             yield hits.lane, hits.light, to_light, radiance, density
 
     def _mesh_along(
-        self, group, position: np.ndarray, start: np.ndarray, normal: np.ndarray, direction: np.ndarray
+        self, group, position: np.ndarray, lift: np.ndarray, normal: np.ndarray, direction: np.ndarray
     ):
         """The first emissive triangle that each ray meets, and what is behind those that cast no shadow.
 
-        start : (3, K) where rays begin, of points at ``position`` (3, K). A triangle of the scene that is cut
+        lift : (3, K) how far off points at ``position`` (3, K) rays begin. A triangle of the scene that is cut
         counts once.
         """
         ray = np.arange(position.shape[1])
         travelled, step = np.zeros((2, len(ray)), np.float32)
         last = np.full(len(ray), -1)
-        size = np.abs(position).max(axis=0)
+        size, start = np.abs(position).max(axis=0), position + lift
         while ray.size:
             origins = np.ascontiguousarray((take(start, ray) + take(direction, ray) * travelled).T)
             hits = self._tracer.closest_hit(origins, np.ascontiguousarray(take(direction, ray).T), FAR)
@@ -406,7 +406,7 @@ class SceneLights(Lights):
             new = np.flatnonzero(triangle != last)
             if new.size:
                 yield self._met(
-                    group, position, normal, direction, ray.take(new), piece.take(new),
+                    group, position, lift, normal, direction, ray.take(new), piece.take(new),
                     travelled.take(new), hits.u.take(met.take(new)), hits.v.take(met.take(new)),
                 )  # fmt: skip
             # A ray may meet a triangle that it grazes again and again: ever further then, and by no step that
@@ -422,10 +422,10 @@ class SceneLights(Lights):
                 triangle.take(on),
             )
 
-    def _met(self, group, position, normal, direction, ray, piece, distance, u, v):
+    def _met(self, group, position, lift, normal, direction, ray, piece, distance, u, v):
         """What `along` says of pieces (K,) that rays (K,) meet."""
         light = group.light_of.take(piece)
-        to_light = take(direction, ray) * distance
+        to_light = take(lift, ray) + take(direction, ray) * distance
         group.lift(piece, to_light)
         density = group.pdf_of_piece(piece, take(position, ray), take(normal, ray), to_light)
         radiance = take(group.radiance, light)

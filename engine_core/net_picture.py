@@ -18,6 +18,7 @@ another light, pixels have nets of their own. All of it is unbiased.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 
@@ -138,6 +139,8 @@ class NetPicture:
             self._followed = _largest_around(~apart)
         self._apart = self._of_pixels(apart) & ~outline
         self._served = ~(outline | elsewhere | self._apart)
+        # Others may look into a lamp, next to which there is no bound to what is seen.
+        self._of_use = _corners_around(self._served, self._corners)
         self._levels = np.unique(self._counts).tolist()
         # What is expected at corners, 0 as long as that is not known.
         self._expected = np.zeros(self._corners)
@@ -475,7 +478,7 @@ class NetPicture:
         each, as what bright ones are wrong by would be seen in the dark.
         """
         off = self._by_fresh - self._means[count]
-        known = np.isfinite(off)
+        known = np.isfinite(off) & self._of_use
         off[~known] = 0
         off, weight = (
             sums_around(sums_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1] * self._expected)
@@ -572,6 +575,16 @@ def _between(
         part *= weight
         out += part
     return out
+
+
+def _corners_around(a: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """``shape`` bool, corners of cells that any pixel of ``a`` (H, W) is in."""
+    for axis, n in enumerate(a.shape):
+        a = np.logical_or.reduceat(a, np.arange(0, n, CELL), axis=axis)
+    around = np.zeros(shape, bool)
+    for y, x in product((slice(None, -1), slice(1, None)), repeat=2):
+        around[y, x] |= a
+    return around
 
 
 def _whole_cells(a: np.ndarray) -> np.ndarray:

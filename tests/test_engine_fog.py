@@ -563,16 +563,26 @@ def test_lights_whose_cones_a_ray_misses_would_bring_it_nothing(boxes, monkeypat
 
 
 def test_light_that_casts_no_shadow_is_seen_through_everything():
-    free = PointLight(power=50, position=(1.2, 1.2, -1.5), casts_shadow=False)
-    with_ball, without = (fog([free], [THIN], 0, m, clip_end=1.9) for m in ([OCCLUDER], []))
-    values = [
-        ScatteredAlongRay(s).along(rays_of(ScatteredAlongRay(s)), None)[0] for s in (with_ball, without)
-    ]
-    assert np.allclose(*values, rtol=1e-5)
-    for scattering in (with_ball, without):
-        integrand = ScatteredLight(scattering, scattering.sizeless)
-        _mean(integrand, rays_of(integrand), 4)
-        assert integrand.counts["shadow rays"] == 0
+    """Through fog, too: closed by quadrature, without a term for its way to where it is scattered."""
+    sigma = 0.9
+    thick = Volume(scattering=0.75 * sigma, absorption=0.25 * sigma, anisotropy=0.4)
+    free = PointLight(power=4 * np.pi, position=LIGHT, casts_shadow=False)
+    with_ball, without = (fog([free], [thick], 0, m, clip_end=1.9) for m in ([OCCLUDER], []))
+    assert without.sizeless.size == with_ball.small.size == 0
+    integrands = [ScatteredLight(s, s.sized) for s in (with_ball, without)]
+    of_each = [rays_of(integrand) for integrand in integrands]
+    means, errors = zip(*map(_mean, integrands, of_each, (400, 400)), strict=True)
+    assert np.allclose(*means, rtol=1e-3)
+    assert all(integrand.counts["shadow rays"] == 0 for integrand in integrands)
+
+    def value(p, d, t):
+        r = np.linalg.norm(p - LIGHT)
+        phase = henyey_greenstein((LIGHT - p) @ d / r, 0.4)
+        return 0.75 * sigma * phase * np.exp(-sigma * t) / r**2
+
+    rays = of_each[1]
+    exact = sum(by_quadrature(without, rays, number, value) for number in range(len(rays)))
+    assert abs(means[0].sum() - exact) < 4 * errors[0] + 1e-3 * exact
 
 
 @pytest.mark.parametrize("shadow", [False, True])

@@ -62,6 +62,7 @@ def scene(*lights, volume=FOG, reflectance=0.0, **fields) -> Scene:
 LIT = {
     "point": (PointLight(300.0, position=OUTSIDE),),
     "in the picture": (PointLight(60.0, position=INSIDE), PointLight(60.0, position=OUTSIDE)),
+    "shadowless": tuple(PointLight(60.0, position=p, casts_shadow=False) for p in (INSIDE, OUTSIDE)),
     "spot": (SpotLight(500.0, light_to_world=downwards(), angle=0.6),),
     "beam in the picture": (SpotLight(500.0, light_to_world=place(INSIDE, (0.4, -1.3, 0)), angle=0.4),),
     "narrow beam": (SpotLight(900.0, light_to_world=place((-2.5, 0.5, 3.5), (0.2, -0.7, 0)), angle=0.03),),

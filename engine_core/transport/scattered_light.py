@@ -379,6 +379,8 @@ class ScatteredLight(Scattered):
             np.ascontiguousarray(take(x, arrive).T, np.float32) for x in (position, to_light)
         )
         reach = np.where(np.broadcast_to(at_infinity, len(ray)).take(arrive), np.inf, 1)
+        casts = scattering.lights.links.casting(light) != NONE_CAST
+        reach = np.where(np.broadcast_to(casts, len(ray)).take(arrive), reach, 0)
         depth = fog.optical_depth(origins, directions, reach, media.inside.take(row.take(arrive)))
         scattered *= np.exp(-depth)
         return lit.take(arrive), scattered

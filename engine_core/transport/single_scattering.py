@@ -20,7 +20,7 @@ from threading import Lock
 import numpy as np
 
 from ..geometry.frame import Frame
-from ..geometry.surfaces import Surfaces
+from ..geometry.surfaces import NONE_CAST, Surfaces
 from ..geometry.vectors import dot, take
 from ..settings import Settings
 from ..shading.terms import LARGEST
@@ -55,8 +55,9 @@ class SingleScattering:
     """What all estimates of light scattered once share, and all threads.
 
     screen_dimensions : 2 of a pixel, and 2 of a lens.
-    sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others; and of
-        those among these that it takes, too. Lights that no fog gets light of are in none.
+    sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others, as those
+        that cast no shadow; and of those among these that it takes, too. Lights that no fog gets light of
+        are in none.
     of_mesh : numbers of those that are pieces of meshes.
     sine : (L,) of half the angles that suns fill, 0 of others.
     """
@@ -87,9 +88,11 @@ class SingleScattering:
                 small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
-        reaches &= lights.links.in_fog
+        # Not even fog is between a light that casts no shadow and what it lights, which whole rays do not know.
+        clear = lights.links.blockers == NONE_CAST
+        reaches = (reaches | clear) & lights.links.in_fog
         self.sizeless, self.sized, self.small, self.of_mesh = (
-            np.flatnonzero(some & reaches) for some in (bare, ~bare, small, of_mesh)
+            np.flatnonzero(some & reaches) for some in (bare & ~clear, ~bare | clear, small & ~clear, of_mesh)
         )
         self.cones = AirLights(lights)
         # Of each light's middle, inside which fogs it is.

@@ -387,8 +387,8 @@ class SceneLights(Lights):
     ):
         """The first emissive triangle that each ray meets, and what is behind those that cast no shadow.
 
-        lift : (3, K) how far off points at ``position`` (3, K) rays begin. A triangle of the scene that is cut
-        counts once.
+        lift : (3, K) how far off points at ``position`` (3, K) rays begin. A triangle of the scene that is
+        cut counts once.
         """
         ray = np.arange(position.shape[1])
         travelled, step = np.zeros((2, len(ray)), np.float32)

@@ -55,9 +55,9 @@ class SingleScattering:
     """What all estimates of light scattered once share, and all threads.
 
     screen_dimensions : 2 of a pixel, and 2 of a lens.
-    sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others, as those
-        that cast no shadow; and of those among these that it takes, too. Lights that no fog gets light of
-        are in none.
+    sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others, as
+        those that cast no shadow; and of those among these that it takes, too. Lights that no fog gets light
+        of are in none.
     of_mesh : numbers of those that are pieces of meshes.
     sine : (L,) of half the angles that suns fill, 0 of others.
     """
@@ -88,7 +88,7 @@ class SingleScattering:
                 small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
-        # Not even fog is between a light that casts no shadow and what it lights, which whole rays do not know.
+        # Not even fog is between a light that casts no shadow and what it lights: whole rays do not know that.
         clear = lights.links.blockers == NONE_CAST
         reaches = (reaches | clear) & lights.links.in_fog
         self.sizeless, self.sized, self.small, self.of_mesh = (

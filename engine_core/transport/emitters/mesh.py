@@ -104,16 +104,20 @@ class MeshEmitters(Emitters):
             measure[near] = np.where(seen.usable, by_angle, measure[near])
         if gain is not None:
             measure *= gain
-        self.lift(piece, to_light)
+        measure *= self.lift(piece, to_light)
         return to_light, measure
 
-    def lift(self, piece: np.ndarray, to_light: np.ndarray) -> None:
+    def lift(self, piece: np.ndarray, to_light: np.ndarray) -> np.ndarray:
         """Let vectors (3, M) to places on pieces (M,) end off these, so that these do not shadow themselves.
         Shortened by a part of the way, from afar they would end before a thin body's front, too.
+
+        Returns (M,) bool, whether they are not from a piece's own plane, where rounding has them see it.
         """
         normal = take(self._normal, piece)
-        normal *= np.copysign(self._gap(piece, dot(to_light, to_light)), dot(normal, to_light))
+        height, gap = dot(normal, to_light), self._gap(piece, dot(to_light, to_light))
+        normal *= np.copysign(gap, height)
         to_light -= normal
+        return np.abs(height) > gap
 
     def _gap(self, piece: np.ndarray, square: np.ndarray) -> np.ndarray:
         """(M,) how far off pieces (M,) vectors to them end, which are the root of ``square`` long."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,19 @@ from scenes import mixed_lights, place
 from scipy import integrate, stats
 from test_engine_light_choice import lights_of
 
-from engine_core import AreaLight, Light, PointLight, SpotLight
+from engine_core import (
+    AreaLight,
+    Camera,
+    Light,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    SunLight,
+    Volume,
+    World,
+    render,
+)
 from engine_core.transport.light_choice_in_fog import (
     WEIGHED,
     AirLights,
@@ -313,3 +326,24 @@ def test_segments_are_cut_by_all_that_a_spot_lights(radius: float):
         # From within the light its cone counts for nothing.
         lit = lit[np.linalg.norm(lit * direction - lights.centre, axis=0) > radius]
         assert ((lit > first - 1e-3) & (lit < last + 1e-3)).all()
+
+
+@pytest.mark.parametrize(
+    "lamp", [SunLight(1.0, direction=(0.2, 0.5, -1)), PointLight(2e3, position=(9, 8, 3))]
+)
+def test_a_light_that_casts_no_shadow_is_chosen_though_fog_is_before_it(lamp):
+    """None is between it and what it lights; beside it, nine lamps that are next to nothing."""
+    weak = [PointLight(1e-4, position=(x - 2.0, 0.7 * x, 2.0), radius=0.1) for x in range(9)]
+    camera = Camera.look_at((0, -3, 1), (0, 0, 1), 12, 8, 0.8, clip_end=4.0)
+    free = dataclasses.replace(lamp, casts_shadow=False)
+    air = Volume(scattering=1.5, absorption=0.1)
+    pictures = [
+        render(
+            Scene(camera, (), (), lights, World(volume=0), volumes=[air]),
+            Settings(samples=64, integrator="sobol", seed=3),
+        ).combined[..., :3]
+        for lights in ((free,), (free, *weak))
+    ]
+    alone, among = (picture.mean(axis=2, dtype=np.float64) for picture in pictures)
+    assert among.mean() == pytest.approx(alone.mean(), rel=0.03)
+    assert among.max() < 1.5 * alone.max()

@@ -25,6 +25,7 @@ from engine_core import (
     AreaLight,
     Camera,
     Material,
+    Mesh,
     PointLight,
     Scene,
     Settings,
@@ -344,3 +345,19 @@ def test_convex_body_that_glows_does_not_see_itself(body, sampling):
     scene = Scene(camera, (body(),), (glossy,))
     film = render(scene, Settings(samples=16, direct_sampling=sampling, integrator="sobol"))
     assert 0.99 < film.combined[..., :3].max() < 1 + 1e-5
+
+
+@pytest.mark.parametrize("parts", [1, 8])
+@pytest.mark.parametrize("half", [0.003, 3.0, 300.0])
+def test_a_plane_that_glows_does_not_light_itself(half, parts):
+    """Tilted, so that none of its points lies in it to all digits."""
+    turn = place((0.3 * half, 0.2 * half, -0.1 * half), (0.37, 0.21, 0.6), half)[:3]
+    grid = np.linspace(-1, 1, parts + 1)
+    x, y = (a.ravel() for a in np.meshgrid(grid, grid))
+    corner = (np.arange(parts)[:, None] * (parts + 1) + np.arange(parts)).ravel()
+    a, b, c, d = corner, corner + 1, corner + parts + 2, corner + parts + 1
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    plane = Mesh(np.stack([x, y, 0 * x], axis=1) @ turn[:, :3].T + turn[:, 3], triangles)
+    camera = Camera.look_at(turn[:, 3] + turn[:, 2], turn[:, 3], 16, 16, 0.5)
+    film = render(Scene(camera, (plane,), (Material(0.8, 1.0),)), Settings(samples=4))
+    assert film.combined[..., :3] == pytest.approx(1.0, abs=1e-5)

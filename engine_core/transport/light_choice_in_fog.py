@@ -88,8 +88,12 @@ class AirLights:
     apex (3, L) behind the light, an axis (3, L), and cos (L,) of half its angle; float32.
     """
 
-    def __init__(self, lights: Lights, only: np.ndarray | None = None) -> None:
+    def __init__(
+        self, lights: Lights, only: np.ndarray | None = None, clear: np.ndarray | None = None
+    ) -> None:
+        """clear : (L,) bool of all lights, between which and what they light is no fog; None if none are."""
         self.only = np.arange(len(lights)) if only is None else np.asarray(only, np.intp)
+        self._clear = np.zeros(len(self), bool) if clear is None else clear.take(self.only)
         axis, cos, brightness = np.zeros((3, len(lights))), np.full(len(lights), -1.0), np.zeros(len(lights))
         core, thickness = np.zeros((3, len(lights))), lights.reach.copy()
         flat, turns = np.zeros((2, len(lights)), bool)
@@ -162,11 +166,15 @@ class AirLights:
         far = np.flatnonzero(self._far_off.take(which))
         estimate = np.empty((len(which), place.shape[1]), np.float32)
         if near.size:
-            estimate[near] = self._near(which.take(near), place[:3], direction, start, end, extinction, leg)
+            legs = leg
+            if self._clear.any():
+                legs = leg * ~self._clear.take(which.take(near))[:, None]
+            estimate[near] = self._near(which.take(near), place[:3], direction, start, end, extinction, legs)
         if far.size:
             # What fog lets through along the segment; where it fills all space, no light comes from far off.
             length = np.maximum(end - start, 0)
-            estimate[far] = length / (1 + extinction * length) * (leg == 0)
+            estimate[far] = length / (1 + extinction * length)
+            estimate[far] *= (leg == 0) | self._clear.take(which.take(far))[:, None]
         estimate *= self._brightness.take(which)[:, None]
         return np.minimum(estimate, _LARGEST, out=estimate)
 

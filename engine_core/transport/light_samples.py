@@ -426,13 +426,13 @@ class SceneLights(Lights):
         """What `along` says of pieces (K,) that rays (K,) meet."""
         light = group.light_of.take(piece)
         to_light = take(lift, ray) + take(direction, ray) * distance
-        group.lift(piece, to_light)
+        off_it = group.lift(piece, to_light)
         density = group.pdf_of_piece(piece, take(position, ray), take(normal, ray), to_light)
-        radiance = take(group.radiance, light)
+        radiance = take(group.radiance, light) * off_it
         triangle, u, v = group.on_scene(piece, u, v)
         varies = np.flatnonzero(self._varies.take(triangle))
         if varies.size:
-            radiance[:, varies] = self._emission(
+            radiance[:, varies] = off_it.take(varies) * self._emission(
                 triangle.take(varies), u.take(varies), v.take(varies), take(to_light, varies)
             )
         return ray, light, to_light, radiance, density

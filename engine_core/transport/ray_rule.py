@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, take
 from ..integration.inner_rules import InnerRule, Nodes
 from .around_light import Tamed
@@ -97,7 +96,7 @@ class ScatteredAlongRay(Scattered):
         samples_too: bool = False,
         several: bool = True,
     ) -> None:
-        """lights : (L,) numbers of those meant, None for all without size.
+        """lights : (L,) numbers of those meant, which cast shadows; None for all such without size.
         nodes, checks : along a ray for each of them, None for as many as so many lights have. Of a small one
             both lanes have half of these, but for the usual nodes, which are of each.
 
@@ -257,13 +256,8 @@ class ScatteredAlongRay(Scattered):
     def _seen(self, lanes: Lanes, s: np.ndarray) -> np.ndarray:
         """What of lights is seen from s (..., n) or (Q, 1): see `fog_lanes.Look`."""
         shape = np.broadcast_shapes(s.shape, (len(lanes),))
-        casts = lanes.blockers != NONE_CAST
-        if not casts.any():
-            coloured = self._scattering.surfaces.any_transparent
-            return np.ones((3, *shape), np.float32) if coloured else np.ones((1, *shape), bool)
         self._count(SHADOW, int(np.prod(shape)))
-        seen = lanes.seen(s, self._look)
-        return seen if casts.all() else np.where(casts, seen, seen.dtype.type(1))
+        return lanes.seen(s, self._look)
 
     def _look(
         self, origins: np.ndarray, directions: np.ndarray, reach: float, blockers: np.ndarray | int

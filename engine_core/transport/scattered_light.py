@@ -311,7 +311,7 @@ class ScatteredLight(Scattered):
         mixture = media.mixture.take(row)
         sigma = scattering.thinnest.astype(np.float32).take(mixture)
         same = scattering.light_state.take(light) == media.inside.take(row)
-        leg = np.where(same, sigma, np.float32(scattering.thinnest[0]))
+        leg = np.where(same, sigma, np.float32(scattering.thinnest[0])) * ~scattering.clear.take(light)
         depth = sigma[:, None] * t + leg[:, None] * r
         depth -= depth.min(axis=0)
         factor = np.exp(-depth)
@@ -379,8 +379,7 @@ class ScatteredLight(Scattered):
             np.ascontiguousarray(take(x, arrive).T, np.float32) for x in (position, to_light)
         )
         reach = np.where(np.broadcast_to(at_infinity, len(ray)).take(arrive), np.inf, 1)
-        casts = scattering.lights.links.casting(light) != NONE_CAST
-        reach = np.where(np.broadcast_to(casts, len(ray)).take(arrive), reach, 0)
+        reach = np.where(scattering.clear.take(light.take(arrive)), 0, reach)
         depth = fog.optical_depth(origins, directions, reach, media.inside.take(row.take(arrive)))
         scattered *= np.exp(-depth)
         return lit.take(arrive), scattered
@@ -393,7 +392,7 @@ class ScatteredLight(Scattered):
         g: np.ndarray,
         u: np.ndarray,
         w: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool, np.ndarray | bool]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | bool]:
         """As `SceneLights.sample_in_space`; of wide lights, part of the directions follow phase functions of
         anisotropies g (K,) about those of rays (3, K), by the balance heuristic.
         """

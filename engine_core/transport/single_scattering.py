@@ -58,7 +58,7 @@ class SingleScattering:
     sizeless, sized, small : numbers of the lights without size, which `ray_rule` takes; of all others, as
         those that cast no shadow; and of those among these that it takes, too. Lights that no fog gets light
         of are in none.
-    of_mesh : numbers of those that are pieces of meshes.
+    of_mesh : numbers of those that are pieces of meshes. clear : (L,) bool, which cast no shadow.
     sine : (L,) of half the angles that suns fill, 0 of others.
     """
 
@@ -88,13 +88,13 @@ class SingleScattering:
                 small[start:stop], self.sine[start:stop] = group.size > 0, group.sine
         # What is infinitely far is behind a fog that fills all space.
         reaches = np.isfinite(lights.reach) | ~(media.extinction[:, 0] > 0).all()
-        # Not even fog is between a light that casts no shadow and what it lights: whole rays do not know that.
-        clear = lights.links.blockers == NONE_CAST
+        # Not even fog is between a light that casts no shadow and what it lights, unlike whole rays have it.
+        self.clear = clear = lights.links.blockers == NONE_CAST
         reaches = (reaches | clear) & lights.links.in_fog
         self.sizeless, self.sized, self.small, self.of_mesh = (
             np.flatnonzero(some & reaches) for some in (bare & ~clear, ~bare | clear, small & ~clear, of_mesh)
         )
-        self.cones = AirLights(lights)
+        self.cones = AirLights(lights, clear=clear)
         # Of each light's middle, inside which fogs it is.
         self.light_state = np.zeros(len(lights), np.uint64)
         if media.bodies and len(lights):
@@ -211,7 +211,7 @@ class SingleScattering:
         """
         if len(only) <= EVERY:
             return None
-        lights = AirLights(self.lights, only)
+        lights = AirLights(self.lights, only, self.clear)
         if lights.are_few:
             return FogChoice(lights)
         # All over the places that a cell's clusters are used at: see `CellsOfPicture.drawn`.

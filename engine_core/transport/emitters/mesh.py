@@ -15,8 +15,9 @@ from .mesh_pieces import Pieces
 from .patches import BACK, Facing, Patches, facing_of
 from .spherical import SphericalTriangle
 
-# Triangles are near within this times their longest edge.
-_NEAR = 0.3
+# Triangles are near within this times their longest edge, and fill the half space to points of surfaces that
+# are nearer to their plane than this times what they extend over.
+_NEAR, _FILLS = 0.3, np.float32(0.02)
 
 
 class MeshEmitters(Emitters):
@@ -66,6 +67,7 @@ class MeshEmitters(Emitters):
         third = (a + b) / 3
         longest = np.max([np.linalg.norm(edge, axis=1) for edge in (a, b, b - a)], axis=0)
         reach = np.max([np.linalg.norm(point - third, axis=1) for point in (0 * a, a, b)], axis=0)
+        self._reach_of = reach.astype(np.float32)
         self._near_middle = ((reach + _NEAR * longest) ** 2).astype(np.float32)
         to_middle = np.linalg.norm(third, axis=1)
         self._near_corner = ((reach + _NEAR * longest + to_middle) ** 2).astype(np.float32)
@@ -96,7 +98,7 @@ class MeshEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         measure = np.abs(dot(take(self._normal, piece), to_light))
         measure /= square * np.sqrt(square)
-        near, seen = self._near(piece, corner)
+        near, seen = self._near(piece, corner, normal is None)
         if near.size:
             for out, values in zip(to_light, seen.sample(take(u, near)), strict=True):
                 out[near] = np.where(seen.usable, values, out[near])
@@ -123,10 +125,13 @@ class MeshEmitters(Emitters):
         """(M,) how far off pieces (M,) vectors to them end, which are the root of ``square`` long."""
         return np.maximum(np.sqrt(square) * np.float32(OFFSET_ULPS * 2.0**-24), self._offset.take(piece))
 
-    def _near(self, piece: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, SphericalTriangle | None]:
+    def _near(
+        self, piece: np.ndarray, corner: np.ndarray, precise: bool
+    ) -> tuple[np.ndarray, SphericalTriangle | None]:
         """Lanes of ``piece`` (M,) that are near enough for their solid angle, and these as seen.
 
-        corner : (3, M) vectors to the first corners.
+        corner : (3, M) vectors to the first corners. precise : for points in space, some of which come so
+        near that a triangle fills the half space: in single precision a part of it would be lost.
         """
         near = np.flatnonzero(dot(corner, corner) < self._near_corner.take(piece))
         if near.size == 0:
@@ -139,8 +144,10 @@ class MeshEmitters(Emitters):
             return nearer, None
         if nearer.size < near.size:
             near, corner, b, c = near.take(nearer), take(corner, nearer), take(b, nearer), take(c, nearer)
-        # Of a triangle so near that it fills the half space, single precision would lose a part.
-        return near, SphericalTriangle(*(x.astype(np.float64) for x in (corner, b, c)))
+        height = np.abs(dot(take(self._normal, piece.take(near)), corner))
+        fills = precise or (height < _FILLS * self._reach_of.take(piece.take(near))).any()
+        kind = np.float64 if fills else np.float32
+        return near, SphericalTriangle(*(x.astype(kind, copy=False) for x in (corner, b, c)))
 
     def _chosen(
         self, which: np.ndarray | None, position: np.ndarray, w: np.ndarray
@@ -188,7 +195,7 @@ class MeshEmitters(Emitters):
         square = np.maximum(dot(to_light, to_light), np.float32(1e-30))
         cosine_d = np.abs(dot(take(self._normal, piece), to_light)) + self._gap(piece, square)
         density = area_to_solid_angle(square, cosine_d, self._area.take(light))
-        near, seen = self._near(piece, vectors_to(self._corner, piece, position))
+        near, seen = self._near(piece, vectors_to(self._corner, piece, position), normal is None)
         if near.size:
             share = self._area_of.take(piece.take(near)) / self._area.take(light.take(near))
             by_angle = share / np.maximum(seen.solid_angle, np.float32(1e-30))

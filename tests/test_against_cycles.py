@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from benchmarks import fog_chart
-from benchmarks.compare import Comparison, compare
+from benchmarks.compare import Comparison, compare, pictures
+from benchmarks.scenes import random_fog
 from benchmarks.scenes.fog_chart import Cell, cells
 from benchmarks.scenes.one_light import CASES, Case
 
@@ -65,3 +67,31 @@ def test_fog_is_that_of_cycles_within_the_noise(cv: ModuleType, cell: Cell) -> N
 @pytest.mark.parametrize("cell", cells(), ids=str)
 def test_all_fog_is_that_of_cycles(cv: ModuleType, cell: Cell) -> None:
     assert_fog_is_that_of_cycles(cell, 16, 8, 512)
+
+
+def blocks(pictures: np.ndarray) -> np.ndarray:
+    """(seeds, 3, 4) means over blocks of 12 x 16 pixels and colours."""
+    return pictures.reshape(-1, 3, 12, 4, 16, 3).mean(axis=(2, 4, 5), dtype=np.float64)
+
+
+def assert_scene_is_that_of_cycles(seed: int, samples: int, cycles_samples: int) -> None:
+    """The whole picture's mean, and blocks', but for what their seeds' noise explains."""
+    random_fog.build(seed)
+    engines = ("CV_RENDER", samples, range(4)), ("CYCLES", cycles_samples, range(100, 104))
+    ours, theirs = (blocks(pictures(engine, (64, 36), n, seeds)) for engine, n, seeds in engines)
+    mean = theirs.mean()
+    for means in ((ours, theirs), [a.mean(axis=(1, 2)) for a in (ours, theirs)]):
+        error = np.sqrt(sum(a.var(axis=0, ddof=1) / len(a) for a in means))
+        difference = means[0].mean(axis=0) - means[1].mean(axis=0)
+        assert (np.abs(difference) <= 7 * error + 3e-3 * mean).all(), difference
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_scene_is_that_of_cycles(cv: ModuleType, seed: int) -> None:
+    assert_scene_is_that_of_cycles(seed, 4, 64)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(4, 44))
+def test_random_scenes_are_those_of_cycles(cv: ModuleType, seed: int) -> None:
+    assert_scene_is_that_of_cycles(seed, 8, 128)

@@ -63,6 +63,15 @@ def test_fog_is_that_of_cycles_within_the_noise(cv: ModuleType, cell: Cell) -> N
     assert_fog_is_that_of_cycles(cell, 16, 6, 128)
 
 
+def test_the_worlds_fog_goes_on_behind_the_cameras_far_plane(cv: ModuleType) -> None:
+    import bpy  # opened by ``cv``, with the extension
+
+    fog_chart.build(Cell("point", "world", 0.0, 0.5))
+    bpy.context.scene.camera.data.clip_end = 2.5  # before all surfaces
+    ours, theirs = (pictures(e, (32, 32), n, range(4)) for e, n in (("CV_RENDER", 16), ("CYCLES", 128)))
+    assert ours.mean() == pytest.approx(theirs.mean(), rel=0.01)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("cell", cells(), ids=str)
 def test_all_fog_is_that_of_cycles(cv: ModuleType, cell: Cell) -> None:

@@ -21,6 +21,7 @@ from engine_core import (
     SpotLight,
     SunLight,
     World,
+    render,
 )
 from engine_core.scene import Volume
 from engine_core.settings import DISTANCE_SAMPLING
@@ -39,9 +40,13 @@ LIGHT = np.array([1.2, 0.2, -1.5])
 
 
 def fog(
-    lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, sky=None, **camera
+    lights, volumes, world=-1, meshes=(), sampling="auto", materials=WHITE, sky=None, end=None
 ) -> SingleScattering:
-    view = Camera.look_at((0, 0, 0), (0, 0, -1), EDGE, EDGE, 0.9, up=(0, 1, 0), **camera)
+    """end : of all camera rays, along the view axis, at a wall that casts no shadow; None for none."""
+    view = Camera.look_at((0, 0, 0), (0, 0, -1), EDGE, EDGE, 0.9, up=(0, 1, 0))
+    if end is not None:
+        corners = [(x * end, y * end, -end) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        meshes = [*meshes, Mesh(corners, [(0, 1, 2), (0, 2, 3)], casts_shadow=False)]
     sky = dataclasses.replace(sky or World(), volume=world)
     scene = Scene(view, tuple(meshes), materials, tuple(lights), sky, volumes=tuple(volumes))
     direct = DirectLight(scene)
@@ -110,7 +115,7 @@ def by_quadrature(scattering, rays, number, value, points=(), accuracy=1e-11) ->
 @pytest.mark.parametrize("sigma", [1e-9, 0.01, 0.3, 3.0, 20.0])
 def test_airlight_of_a_point_light_is_exact(g, sigma):
     volume = Volume(scattering=0.75 * sigma, absorption=0.25 * sigma, anisotropy=g)
-    scattering = fog([PointLight(power=4 * np.pi, position=LIGHT)], [volume], world=0, clip_end=6.0)
+    scattering = fog([PointLight(power=4 * np.pi, position=LIGHT)], [volume], world=0, end=6.0)
     integrand = ScatteredAlongRay(scattering)
     rays = rays_of(integrand)
     found, spread = integrand.along(rays, None)
@@ -130,7 +135,7 @@ def test_airlight_of_a_point_light_is_exact(g, sigma):
 def test_coloured_extinction_is_exact_in_every_channel():
     scattering_colour, absorption = np.array([0.3, 0.05, 2.0]), np.array([0.01, 0.0, 3.0])
     volume = Volume(scattering=scattering_colour, absorption=absorption, anisotropy=0.3)
-    scattering = fog([PointLight(power=(1, 2, 3), position=LIGHT)], [volume], world=0, clip_end=6.0)
+    scattering = fog([PointLight(power=(1, 2, 3), position=LIGHT)], [volume], world=0, end=6.0)
     integrand = ScatteredAlongRay(scattering)
     rays = rays_of(integrand)
     found, _ = integrand.along(rays, None)
@@ -356,7 +361,7 @@ CASES = {
 
 @pytest.mark.parametrize("lights, world, meshes", CASES.values(), ids=CASES)
 def test_whole_rays_are_unbiased_and_the_rule_is_near(lights, world, meshes):
-    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], clip_end=5.0)
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], end=5.0)
     integrand = ScatteredAlongRay(scattering)
     rays = rays_of(integrand, 64)
     exact = _dense(integrand, rays, 3000)
@@ -377,7 +382,7 @@ def test_whole_rays_are_unbiased_and_the_rule_is_near(lights, world, meshes):
 
 @pytest.mark.parametrize("lights, world, meshes", CASES.values(), ids=CASES)
 def test_a_few_points_of_a_ray_are_unbiased(lights, world, meshes):
-    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], clip_end=5.0)
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], end=5.0)
     integrand = PointsOfRay(scattering)
     rays = rays_of(integrand, 64)
     exact = _dense(ScatteredAlongRay(scattering), rays, 3000)
@@ -396,7 +401,7 @@ def test_each_of_many_lights_takes_few_rays():
     taken = []
     for count in (1, 64):
         lights = [PointLight(power=50, position=(np.cos(i), 1.2, -2.5 + np.sin(i))) for i in range(count)]
-        integrand = ScatteredAlongRay(fog(lights, [THIN], 0, [OCCLUDER], clip_end=5.0))
+        integrand = ScatteredAlongRay(fog(lights, [THIN], 0, [OCCLUDER], end=5.0))
         rays = rays_of(integrand, 64)
         integrand.rest(rays, None, np.random.default_rng(4).random((2, len(rays), 16)))
         taken.append(integrand.counts["shadow rays"])
@@ -407,7 +412,7 @@ def test_each_of_many_lights_takes_few_rays():
 @pytest.mark.parametrize("case", ["point", "sun in a box"])
 def test_single_points_agree_with_whole_rays(sampling, case):
     lights, world, meshes = CASES[case]
-    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
+    scattering = fog(lights, [THIN], world, [OCCLUDER, *meshes], sampling, end=5.0)
     rays = rays_of(ScatteredAlongRay(scattering), 48)
     exact = _dense(ScatteredAlongRay(scattering), rays, 2000)
     mean, error = _mean(ScatteredLight(scattering, scattering.sizeless), rays, 600)
@@ -429,7 +434,7 @@ def test_an_area_light_by_brute_force():
     matrix[:3] = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0], [0.2, 1.5, -2.5]]).T
     light = AreaLight(power=30.0, light_to_world=matrix, size=(1.0, 0.6))
     assert np.allclose(matrix[:3, 2], [0, 1, 0])  # shines down
-    scattering = fog([light], [THIN], 0, [OCCLUDER], clip_end=5.0)
+    scattering = fog([light], [THIN], 0, [OCCLUDER], end=5.0)
     integrand = ScatteredLight(scattering, np.arange(1))
     rays = rays_of(integrand, 48)
     rng = np.random.default_rng(1)
@@ -482,7 +487,7 @@ def test_directions_by_the_phase_function_are_unbiased(kind, g):
     volumes = [Volume(scattering=(0.15, 0.12, 0.1), anisotropy=g)]
     # What is infinitely far needs a fog that ends.
     box_of_fog = [bounds((-4, -4, -5), (4, 4, 1))] if sky else []
-    scattering = fog(lights, volumes, -1 if sky else 0, [OCCLUDER, *box_of_fog], sky=sky, clip_end=5.0)
+    scattering = fog(lights, volumes, -1 if sky else 0, [OCCLUDER, *box_of_fog], sky=sky, end=5.0)
     shares = scattering.shares_of_phase(np.ones(1))
     assert scattering.is_peaked and 0 < shares[0] < 1
     by_light, by_both = (ScatteredLight(scattering, np.arange(1), by_phase=p) for p in (None, shares))
@@ -496,7 +501,7 @@ def test_directions_by_the_phase_function_are_unbiased(kind, g):
 def test_the_phase_function_is_followed_into_the_edges_of_a_light():
     """Rays that run into a wide light beside its centre, in fog that scatters forwards."""
     (light,), _ = _towards_camera("area")
-    scattering = fog([light], [Volume(scattering=(0.15,) * 3, anisotropy=0.9)], 0, clip_end=2.99)
+    scattering = fog([light], [Volume(scattering=(0.15,) * 3, anisotropy=0.9)], 0, end=2.99)
     integrand = ScatteredLight(scattering, np.arange(1))
     every = rays_of(integrand, 2000)
     x, y = every.direction[:2] * (3.0 / -every.direction[2])
@@ -567,7 +572,7 @@ def test_light_that_casts_no_shadow_is_seen_through_everything():
     sigma = 0.9
     thick = Volume(scattering=0.75 * sigma, absorption=0.25 * sigma, anisotropy=0.4)
     free = PointLight(power=4 * np.pi, position=LIGHT, casts_shadow=False)
-    with_ball, without = (fog([free], [thick], 0, m, clip_end=1.9) for m in ([OCCLUDER], []))
+    with_ball, without = (fog([free], [thick], 0, m, end=1.9) for m in ([OCCLUDER], []))
     assert without.sizeless.size == with_ball.small.size == 0
     integrands = [ScatteredLight(s, s.sized) for s in (with_ball, without)]
     of_each = [rays_of(integrand) for integrand in integrands]
@@ -585,20 +590,49 @@ def test_light_that_casts_no_shadow_is_seen_through_everything():
     assert abs(means[0].sum() - exact) < 4 * errors[0] + 1e-3 * exact
 
 
+@pytest.mark.parametrize("clear", [False, True])
+@pytest.mark.parametrize("glow", [0.0, 0.05])
+def test_the_far_plane_hides_all_but_the_worlds_fog(glow, clear):
+    """Of bodies of fog what is behind it; surfaces there still cast shadows."""
+    surface = Material(surface=Transparent((0.5, 0.6, 0.7))) if clear else Material()
+    behind = sphere((0.2, 0.1, -3.0), 0.4, materials=1)
+    unseen = dataclasses.replace(behind, visible_to_camera=False)
+    whole, half = (bounds((-0.9, -0.9, low), (0.7, 0.6, -1.0), 1) for low in (-2.5, -1.5))
+    far = bounds((-0.9, -0.9, -3.5), (0.7, 0.6, -2.0), 1)
+    # What glows would light fog before the plane from behind it.
+    body = Volume(absorption=0.4, emission=glow) if glow else Volume(scattering=0.6)
+    volumes = Volume(scattering=(0.3, 0.1, 0.2), emission=glow), body
+    lights = PointLight(power=50, position=LIGHT), PointLight(20, position=(-1, 0, -4), radius=0.2)
+    materials = Material(), surface
+
+    def seen(meshes, world, end=np.inf, lights=lights):
+        view = Camera.look_at((0, 0, 0), (0, 0, -1), 8, 8, 0.9, up=(0, 1, 0), clip_end=end)
+        scene = Scene(view, meshes, materials, lights, World(volume=world), volumes=volumes)
+        return render(scene, Settings(samples=16, seed=3, threads=1)).combined.mean(axis=(0, 1), dtype=float)
+
+    for clipped, wanted in (((), ()), ((behind,), (unseen,))):
+        assert seen(clipped, 0, 1.5) == pytest.approx(seen(wanted, 0), rel=0.02)
+    # What the first lamp lights before the plane has no fog from behind it in its way.
+    near = lights[:1]
+    assert seen((whole,), -1, 1.5, near) == pytest.approx(seen((half,), -1, lights=near), rel=0.02)
+    assert not seen((far,), -1, 1.5)[:3].any()
+
+
 @pytest.mark.parametrize("shadow", [False, True])
 def test_fog_behind_a_pane_is_seen_through_it(shadow):
     """And lit through it, if it casts a shadow."""
     colour = np.array([0.25, 0.5, 1.0])
     corners = np.array([[-9, -9, -2], [9, -9, -2], [9, 9, -2], [-9, 9, -2]], np.float32)
-    pane = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), casts_shadow=shadow)
-    lights, materials = [PointLight(power=50, position=LIGHT)], (Material(surface=Transparent(colour)),)
+    pane = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), materials=1, casts_shadow=shadow)
+    lights = [PointLight(power=50, position=LIGHT)]
+    materials = *WHITE, Material(surface=Transparent(colour))
     before, everything = (
-        ScatteredAlongRay(fog(lights, [THIN], 0, clip_end=end))
-        .along(rays_of(ScatteredAlongRay(fog(lights, [THIN], 0, clip_end=end))), None)[0]
+        ScatteredAlongRay(fog(lights, [THIN], 0, end=end))
+        .along(rays_of(ScatteredAlongRay(fog(lights, [THIN], 0, end=end))), None)[0]
         .sum(axis=1)
         for end in (2.0, 4.0)
     )
-    scattering = fog(lights, [THIN], 0, [pane], materials=materials, clip_end=4.0)
+    scattering = fog(lights, [THIN], 0, [pane], materials=materials, end=4.0)
     wanted = before + colour ** (2 if shadow else 1) * (everything - before)
     integrand = ScatteredAlongRay(scattering)
     rays = rays_of(integrand)
@@ -660,7 +694,7 @@ def test_a_light_anywhere_is_finite(position, sigma):
     """On the ray, at the camera, behind it, at the ray's end, beyond it, and far off."""
     volume = Volume(scattering=sigma, anisotropy=0.7)
     lights = [PointLight(power=1, position=position), spot_at(position, (0.1, 0, -2), power=1, angle=0.5)]
-    scattering = fog(lights, [volume], 0, clip_end=4.0)
+    scattering = fog(lights, [volume], 0, end=4.0)
     whole = ScatteredAlongRay(scattering)
     middle = Pixels(*np.full((2, 5), EDGE // 2, np.int32), np.zeros(5, np.int32))
     u = np.array([[0, 0, 1e-6, 0.5, 1], [0, 0, 0, 0.3, 1]])[:, :, None]
@@ -681,7 +715,7 @@ def test_a_light_anywhere_is_finite(position, sigma):
 def test_single_points_hold_at_any_optical_depth(depth):
     """The estimate by "auto" stays as near to the exact airlight as it is in thin fog."""
     scattering = fog(
-        [PointLight(power=4 * np.pi, position=(0.5, 0.2, -0.02))], [Volume(scattering=depth)], 0, clip_end=1.0
+        [PointLight(power=4 * np.pi, position=(0.5, 0.2, -0.02))], [Volume(scattering=depth)], 0, end=1.0
     )
     whole = ScatteredAlongRay(scattering)
     rays = rays_of(whole, 16)
@@ -697,7 +731,7 @@ def test_a_larger_scene_is_the_same_picture():
             [Volume(scattering=0.2 / s)],
             0,
             [Mesh(OCCLUDER.vertices * np.float32(s), OCCLUDER.triangles)],
-            clip_end=5.0 * s,
+            end=5.0 * s,
         )
         integrand = ScatteredAlongRay(scattering)
         rays = rays_of(integrand)

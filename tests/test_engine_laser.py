@@ -206,21 +206,31 @@ def test_parallel_and_crossing_lines_are_finite(angle, distance, name):
 # -- in fog --------------------------------------------------------------------------------------------
 
 
-def random_line(random: np.random.Generator) -> tuple[Camera, Laser, tuple]:
-    camera = pinhole(random.normal(size=3) * 2, random.normal(size=3), clip_end=random.uniform(2, 20))
+def random_line(random: np.random.Generator) -> tuple[Camera, float, Laser, tuple]:
+    """A camera, how far it sees, a laser and fog."""
+    camera, end = pinhole(random.normal(size=3) * 2, random.normal(size=3)), random.uniform(2, 20)
     laser = beam(
         random.normal(size=3) * 3,
         random.normal(size=3),
         random.uniform(1, 5, 3),
         length=random.uniform(0.5, 8),
     )
-    return camera, laser, (random.uniform(0.01, 0.6, 3), random.uniform(0, 0.3, 3), random.uniform(-0.8, 0.8))
+    fog = random.uniform(0.01, 0.6, 3), random.uniform(0, 0.3, 3), random.uniform(-0.8, 0.8)
+    return camera, end, laser, fog
+
+
+def wall_before(camera: Camera, end: float) -> Mesh:
+    """What a `pinhole` sees at last."""
+    corners = [(x, y, -end) for x, y in ((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01))]
+    corners = corners @ camera.camera_to_world[:3, :3].T + camera.camera_to_world[:3, 3]
+    return Mesh(corners, [(0, 1, 2), (0, 2, 3)], casts_shadow=False)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_light_in_fog_is_the_double_integral(seed):
-    camera, laser, (scattering, absorption, g) = random_line(np.random.default_rng(seed))
-    stage = Stage(Scene(camera, lights=(laser,), **everywhere(scattering[None], absorption, [g])))
+    camera, end, laser, (scattering, absorption, g) = random_line(np.random.default_rng(seed))
+    meshes = (wall_before(camera, end),)
+    stage = Stage(Scene(camera, meshes, lights=(laser,), **everywhere(scattering[None], absorption, [g])))
     integrand, line = stage.in_fog(), Line(stage, laser)
     rays = integrand.first(pixels(), MIDDLE)
     u, weights = tensor(24)
@@ -233,7 +243,7 @@ def test_light_in_fog_is_the_double_integral(seed):
         phases = henyey_greenstein(towards @ line.axis, g) * henyey_greenstein(-towards @ line.direction, g)
         return phases * np.exp(-sigma * (t + v + r)) / r**2
 
-    wanted = dblquad(twice_scattered, 0, laser.length, 0, line.clip, epsabs=1e-9, epsrel=1e-5)[0]
+    wanted = dblquad(twice_scattered, 0, laser.length, 0, end, epsabs=1e-9, epsrel=1e-5)[0]
     wanted *= laser.power[channel] * scattering[channel] ** 2
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
 

@@ -16,6 +16,8 @@ from engine_core import (
     AreaLight,
     Camera,
     Light,
+    Material,
+    Mesh,
     PointLight,
     Scene,
     Settings,
@@ -334,12 +336,14 @@ def test_segments_are_cut_by_all_that_a_spot_lights(radius: float):
 def test_a_light_that_casts_no_shadow_is_chosen_though_fog_is_before_it(lamp):
     """None is between it and what it lights; beside it, nine lamps that are next to nothing."""
     weak = [PointLight(1e-4, position=(x - 2.0, 0.7 * x, 2.0), radius=0.1) for x in range(9)]
-    camera = Camera.look_at((0, -3, 1), (0, 0, 1), 12, 8, 0.8, clip_end=4.0)
+    camera = Camera.look_at((0, -3, 1), (0, 0, 1), 12, 8, 0.8)
+    corners = [(x, 1.0, z) for x, z in ((-9, -9), (9, -9), (9, 9), (-9, 9))]
+    wall = Mesh(corners, [(0, 1, 2), (0, 2, 3)], casts_shadow=False)
     free = dataclasses.replace(lamp, casts_shadow=False)
     air = Volume(scattering=1.5, absorption=0.1)
     pictures = [
         render(
-            Scene(camera, (), (), lights, World(volume=0), volumes=[air]),
+            Scene(camera, (wall,), (Material(0.0),), lights, World(volume=0), volumes=[air]),
             Settings(samples=64, integrator="sobol", seed=3),
         ).combined[..., :3]
         for lights in ((free,), (free, *weak))

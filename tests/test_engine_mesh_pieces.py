@@ -332,14 +332,16 @@ def test_only_what_may_vary_is_looked_up():
 
 def test_what_is_behind_a_thin_body_does_not_shine_through_it_into_fog():
     """Of a sheet of 2 mm at 30 m, seen from below, all that is lit is lit by its bottom."""
-    air, glowing = (Volume(scattering=0.01),), (Material(), Material(0.0, (3.0, 2.0, 1.0)))
+    air, glowing = (Volume(scattering=0.01),), (Material(0.0), Material(0.0, (3.0, 2.0, 1.0)))
     low, high = np.array([-2.0, 30.0, -3.0]), np.array([2.0, 30.002, 1.0])
     corners = np.array([[x, low[1], z] for x, z in ((-2, -3), (2, -3), (2, 1), (-2, 1))])
     sheet = Mesh(corners, [[0, 1, 2], [0, 2, 3]], materials=1)
+    corners = [(x, y, -10.0) for x, y in ((-9, -9), (9, -9), (9, 9), (-9, 9))]
+    wall = Mesh(corners, [(0, 1, 2), (0, 2, 3)], casts_shadow=False)
     mean = {}
     for name, mesh in (("body", box(low, high, materials=1)), ("sheet", sheet)):
-        view = Camera.look_at((0, 0, 0), (0, -1, -4), 16, 16, 0.6, up=(0, 1, 0), clip_end=10.0)
-        scene = Scene(view, (mesh,), glowing, (), World(volume=0), volumes=air)
+        view = Camera.look_at((0, 0, 0), (0, -1, -4), 16, 16, 0.6, up=(0, 1, 0))
+        scene = Scene(view, (mesh, wall), glowing, (), World(volume=0), volumes=air)
         films = [render(scene, Settings(samples=64, seed=seed, threads=1)) for seed in range(2)]
         mean[name] = np.mean([film.combined[..., 0].mean(dtype=float) for film in films])
     assert mean["body"] == pytest.approx(mean["sheet"], rel=5e-3)

@@ -98,7 +98,7 @@ def mean(integrand, rays, each: int, seed: int) -> tuple[np.ndarray, np.ndarray]
 def of_case(name: str, sampling="auto"):
     lights, world, meshes = CASES[name]
     lights = lights if isinstance(lights, tuple) else (lights,)
-    made = fog(lights, [THIN, DENSE, DEEP, GREY], world, [OCCLUDER, *meshes], sampling, clip_end=5.0)
+    made = fog(lights, [THIN, DENSE, DEEP, GREY], world, [OCCLUDER, *meshes], sampling, end=5.0)
     assert len(made.small) + len(made.sizeless) == len(lights)
     return made
 
@@ -162,7 +162,7 @@ def test_whole_rays_see_what_clear_surfaces_let_through(closure, name):
     ]
     meshes += [OCCLUDER, *(NESTED[:1] if world < 0 else ())]
     materials = (Material(), Material(surface=CLEAR[closure]))
-    made = fog([lights], [THIN], world, meshes, materials=materials, clip_end=5.0)
+    made = fog([lights], [THIN], world, meshes, materials=materials, end=5.0)
     whole, points = (kind(made, np.arange(1)) for kind in (ScatteredAlongRay, PointsOfRay))
     rays = rays_of(whole, 48)
     single, error = mean(ScatteredLight(made, np.arange(1)), rays, 20_000, 1)
@@ -195,7 +195,7 @@ def test_whole_rays_are_gone_with_what_knows_them():
 @pytest.mark.parametrize("aside", [0.0, 1e-6, 1e-3, 0.3, 1.0])
 def test_rays_through_a_lamp_see_what_its_points_bring(light, aside):
     """None of it is the peak that one without size would have there."""
-    made = fog([light(0.1, (0.1 * aside, 0, -2))], [THIN], 0, clip_end=5.0)
+    made = fog([light(0.1, (0.1 * aside, 0, -2))], [THIN], 0, end=5.0)
     whole, single = (kind(made, made.small) for kind in (ScatteredAlongRay, ScatteredLight))
     middle = Pixels(*np.full((2, 8), 16, np.int32), np.zeros(8, np.int32))
     rays = whole.first(middle, np.zeros((2, 8, 1), np.float32))

@@ -30,7 +30,8 @@ class Camera:
     width, height : pixels of the whole frame.
     region : (x0, y0, x1, y1), the pixels rendered, row 0 at the bottom; None is the whole frame.
     projection : "perspective" or "orthographic".
-    clip_start, clip_end : distances along the view axis between which anything is seen.
+    clip_start, clip_end : distances along the view axis between which anything is seen, but for the world's
+        volume, which has no end.
     aperture : radius of the lens in scene units; 0 has all in focus.
     focus_distance : along the view axis, of the plane that is in focus.
     blades : of a polygonal aperture, from 3; less is round. blade_rotation : in radians.

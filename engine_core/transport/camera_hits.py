@@ -192,7 +192,7 @@ class CameraStage:
             points = points.take(np.flatnonzero(~held))
         throughput = None
         if self._media is not None:
-            passed, glow = self._media.seen(origins, directions, depth)
+            passed, glow = self._media.seen(origins, directions, depth, clip=self.rays.reach)
             values[RGB] *= passed
             values[ALPHA] = 1 - (1 - values[ALPHA]) * passed.mean(axis=0)
             if glow is not None:
@@ -244,7 +244,8 @@ class CameraStage:
         if self._media is not None:
 
             def through(lane: np.ndarray, distance: np.ndarray | float) -> np.ndarray:
-                return self._media.seen(origins.take(lane, axis=0), self._of(directions, lane), distance)[0]
+                along = origins.take(lane, axis=0), self._of(directions, lane)
+                return self._media.seen(*along, distance, clip=self.rays.reach)[0]
 
         for group in self._emitters:
             if group.is_background and self._clear_background:
@@ -270,7 +271,9 @@ class CameraStage:
         gatherer, found, count = LobeGatherer(), [], 0
         ray, throughput, start = np.arange(n), None, np.zeros(n, np.float32)
         here, crossings = origins, 0
-        fog = None if self._media is None else _FogBetween(self._media, origins, directions)
+        fog = None
+        if self._media is not None:
+            fog = _FogBetween(self._media, origins, directions, self.rays.reach)
         for crossing in range(self._crossings + 1):
             last = crossing == self._crossings
             if crossing:
@@ -419,8 +422,9 @@ class CameraStage:
 class _FogBetween:
     """Fog between the layers that camera rays see: of a ray's light at each, and of the ray as a whole."""
 
-    def __init__(self, media: Media, origins: np.ndarray, directions: np.ndarray) -> None:
-        self._media, self._origins, self._directions = media, origins, directions
+    def __init__(self, media: Media, origins: np.ndarray, directions: np.ndarray, clip: float) -> None:
+        """clip : as in `Media.optical_depth`."""
+        self._media, self._origins, self._directions, self._clip = media, origins, directions, clip
         self._passed = np.ones((3, len(origins)), np.float32)
         self._glow = np.zeros((3, len(origins)), np.float32)
 
@@ -437,7 +441,8 @@ class _FogBetween:
         throughput : (3, K) of the layers alone, None for 1. Returns it with that of all fog before the end.
         """
         directions = CameraStage._of(self._directions, ray)
-        passed, glow = self._media.seen(self._origins.take(ray, axis=0), directions, end)
+        origins = self._origins.take(ray, axis=0)
+        passed, glow = self._media.seen(origins, directions, end, clip=self._clip)
         absorbed = self._passed - passed
         alpha[ray] += (absorbed if throughput is None else absorbed * throughput).mean(axis=0)
         if glow is not None:

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..geometry.raytracer import FAR
+from ..geometry.surfaces import Surfaces
 from ..geometry.vectors import take
+from .camera_rays import CameraRays
 from .media import RayMedia
 
 
@@ -58,6 +61,16 @@ class Layers:
     first: np.ndarray
     reach: np.ndarray
     behind: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+
+
+def fog_ends(surfaces: Surfaces, rays: CameraRays, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(N,) float32 how far camera rays (N, 3) get, in lengths of the direction. The world's fog goes on
+    behind the camera's far plane, as it does in Cycles.
+    """
+    distance = surfaces.distance(origins, directions, rays.reach)
+    if rays.reach < FAR:
+        distance[distance >= np.float32(rays.reach)] = FAR
+    return distance
 
 
 def in_layers(

@@ -180,12 +180,14 @@ class Media:
         directions: np.ndarray,
         reach: float | np.ndarray,
         inside: np.ndarray | None = None,
+        clip: float = np.inf,
     ) -> np.ndarray:
         """(C, N) float32 optical depth of rays, inf where they run on in the world's medium for ever.
 
         origins, directions : (N, 3) float32, of any length, in which ``reach`` is measured, a number or (N,).
         inside : (N,) uint64, the bodies in which rays begin; None if unknown, which is enough but for meshes
             that are open.
+        clip : how far bodies are met, as a camera's far plane hides them, though not the world's medium.
         """
         directions, reach = _broadcast(origins, directions, reach)
         n = len(origins)
@@ -193,7 +195,7 @@ class Media:
         with np.errstate(over="ignore", invalid="ignore"):
             unit = _norm(directions)
             if self.bodies:
-                spans = self._boundaries.spans(origins, directions, reach, inside)
+                spans = self._boundaries.spans(origins, directions, np.minimum(reach, clip), inside)
                 # Finite, as 0 times it is 0.
                 length = np.minimum((spans.end - spans.start) * unit.take(spans.ray), _FOR_EVER)
                 for out, coefficients in zip(depth, self._extinction[:-1].T, strict=True):
@@ -218,11 +220,12 @@ class Media:
         directions: np.ndarray,
         end: float | np.ndarray,
         inside: np.ndarray | None = None,
+        clip: float = np.inf,
     ) -> RayMedia:
         """What rays run through before their ``end``; arguments as in `optical_depth`."""
         n = len(origins)
         directions, end = _broadcast(origins, directions, end)
-        ray, start, until, inside, state = self._stretches(origins, directions, end, inside)
+        ray, start, until, inside, state = self._stretches(origins, directions, end, inside, clip)
         mixture = self.mixture_of(inside)
         filled = np.flatnonzero(self._fills.take(mixture) & (until > start))
         if len(filled) < len(ray):
@@ -254,7 +257,12 @@ class Media:
         return RayMedia(ray, start, until, inside, mixture, before, total, state, emission)
 
     def _stretches(
-        self, origins: np.ndarray, directions: np.ndarray, end: np.ndarray, inside: np.ndarray | None
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        end: np.ndarray,
+        inside: np.ndarray | None,
+        clip: float,
     ) -> tuple[np.ndarray, ...]:
         """Stretches of rays: which (K,), from where to where (K,), inside of what (K,); and `RayMedia.state`.
 
@@ -264,7 +272,7 @@ class Media:
         state, everywhere = np.zeros(n, np.uint64), np.arange(n)
         if self.bodies == 0:
             return everywhere, np.zeros(n), end, state, state
-        spans = self._boundaries.spans(origins, directions, end, inside)
+        spans = self._boundaries.spans(origins, directions, np.minimum(end, clip), inside)
         bits = _bits(spans.body)
         on = np.flatnonzero(spans.end >= end.take(spans.ray))
         np.bitwise_or.at(state, spans.ray.take(on), bits.take(on))
@@ -276,7 +284,7 @@ class Media:
         changes = np.concatenate([np.zeros(n, np.uint64), bits, bits])
         order = _by_ray(ray, start)
         ray, start = ray.take(order), start.take(order)
-        # All spans end with their ray at the latest, so bits need no new beginning there.
+        # Where spans end with their ray, bits need no new beginning.
         within = np.bitwise_xor.accumulate(changes.take(order))
         until = np.append(start[1:], 0)[: len(ray)]
         last = np.flatnonzero(np.append(ray[1:] != ray[:-1], True)[: len(ray)])
@@ -289,12 +297,15 @@ class Media:
         directions: np.ndarray,
         end: float | np.ndarray,
         inside: np.ndarray | None = None,
+        clip: float = np.inf,
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Transmittance (3, N) of rays to their ends, and what media emit on the way (3, N), None for 0."""
+        """Transmittance (3, N) of rays to their ends, and what media emit on the way (3, N), None for 0.
+        Arguments as in `optical_depth`.
+        """
         if self.emits:
-            media = self.along(origins, directions, end, inside)
+            media = self.along(origins, directions, end, inside, clip)
             return self.transmittance(media.total), media.emission
-        return self.transmittance(self.optical_depth(origins, directions, end, inside)), None
+        return self.transmittance(self.optical_depth(origins, directions, end, inside, clip)), None
 
     @staticmethod
     def transmittance(depth: np.ndarray) -> np.ndarray:

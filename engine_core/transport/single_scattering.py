@@ -20,6 +20,7 @@ from threading import Lock
 import numpy as np
 
 from ..geometry.frame import Frame
+from ..geometry.raytracer import FAR
 from ..geometry.surfaces import NONE_CAST, Surfaces
 from ..geometry.vectors import dot, take
 from ..settings import Settings
@@ -30,7 +31,7 @@ from .camera_rays import CameraRays
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .distance_maps import EquiAngular, within_depth
 from .emitters import DiskEmitters, PointEmitters, SphereEmitters, SunEmitters
-from .fog_rays import FogRays, Layers, in_layers, taken
+from .fog_rays import FogRays, Layers, fog_ends, in_layers, taken
 from .light_choice_in_fog import AirLights, CellsOfPicture, FogChoice, fog_clusters, segments
 from .light_clusters import CELL, pilot_points
 from .light_samples import SceneLights
@@ -110,12 +111,12 @@ class SingleScattering:
         through, crossings = None, 0
         if self._shader.transmits.any():
             layers = self._layers(origins, directions)
-            media = self.media.along(origins, directions, layers.reach)
+            media = self.media.along(origins, directions, layers.reach, clip=self.rays.reach)
             media, through = in_layers(media, layers, self.media.extinction, directions)
             crossings = sum(len(ray) for ray, *_ in layers.behind)
         else:
-            end = self.surfaces.distance(origins, directions, self.rays.reach)
-            media = self.media.along(origins, directions, end)
+            end = fog_ends(self.surfaces, self.rays, origins, directions)
+            media = self.media.along(origins, directions, end, clip=self.rays.reach)
         scatters = self.media.scattering.any(axis=(0, 1))
         if not scatters.all():
             rows = np.flatnonzero(scatters.take(media.mixture))
@@ -138,7 +139,7 @@ class SingleScattering:
     def _layers(self, origins: np.ndarray, directions: np.ndarray) -> Layers:
         """What camera rays see one behind another, as long as surfaces let them through."""
         n = len(origins)
-        layers = Layers(np.full(n, self.rays.reach), np.full(n, self.rays.reach), [])
+        layers = Layers(np.full(n, FAR, float), np.full(n, FAR, float), [])
         ray, start, here = np.arange(n), np.zeros(n), origins
         passed = np.ones((3, n), np.float32)
         for crossing in range(self._crossings + 1):
@@ -147,7 +148,7 @@ class SingleScattering:
                 here, along, (self.rays.reach - start).astype(np.float32)
             )
             hit = np.arange(len(ray)) if points.lane is None else points.lane
-            end = np.full(len(ray), self.rays.reach)
+            end = np.full(len(ray), FAR, float)
             end[hit] = start.take(hit) + distance
             if crossing:
                 layers.behind.append((ray, start, end, passed))

@@ -216,12 +216,14 @@ class LaserInFog(Scattered):
         seen = seen.reshape(len(seen), *v.shape)
         seen *= weight
         every = len(which) == out.shape[1]
+        # Of one ray's segments, which are side by side.
+        begin = None if every else np.flatnonzero(np.diff(which, prepend=-1))
         for colour, factor in segments.unshadowed(stretch, p, v, x, r, one_fog):
             value = (factor * seen) * colour
             if every:
                 out += value
             else:
-                np.add.at(out, (slice(None), which), value)
+                out[:, which.take(begin)] += np.add.reduceat(value, begin, axis=1)
 
     def arriving(
         self, segments: RaySegments, stretch: Stretch, v: np.ndarray, t: np.ndarray, one_fog: bool

@@ -84,6 +84,9 @@ TOGETHER = 1 << 11
 AROUND = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
 
+ENDS = (None, -1), (1, None)
+"""Of rows, or columns, of corners: those before cells, and those behind."""
+
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
 
@@ -475,8 +478,8 @@ class NetPicture:
 
     def _off(self, count: int) -> np.ndarray:
         """(3, rows, columns) what the net's first ``count`` points are wrong by at the corners, as nets of
-        their own tell at all corners around for which that is known. In proportion to what is expected of
-        each, as what bright ones are wrong by would be seen in the dark.
+        their own tell at all corners around for which that is known; over what is expected there, as what
+        bright ones are wrong by would be seen in the dark.
         """
         off = self._by_fresh - self._means[count]
         known = np.isfinite(off) & self._of_use
@@ -484,9 +487,7 @@ class NetPicture:
         off, weight = (
             sums_around(sums_around(a, 1, AROUND), 2, AROUND) for a in (off, known[:1] * self._expected)
         )
-        np.divide(self._expected, weight, out=weight, where=weight > 0)
-        off *= weight
-        return off
+        return np.divide(off, weight, out=np.zeros_like(off), where=weight > 0)
 
     def _correct(self, tile: int, off: dict[int, np.ndarray]) -> None:
         """Take ``off`` what the net is wrong by with as many points as it has, in a row of tiles."""
@@ -495,13 +496,24 @@ class NetPicture:
         y, x = np.arange(low, high), np.arange(self._width)
         (x_in, y_in), (x_size, y_size) = self._in_cells(x, y)
         across, down = (x_in + 0.5) / x_size, ((y_in + 0.5) / y_size)[:, None]
+        j, i = y // CELL - low // CELL, x // CELL
+
+        def between(rows: np.ndarray) -> np.ndarray:
+            """(..., height, W) of pixels, what is told at corners."""
+            rows = rows.take(j, axis=-2) * (1 - down) + rows.take(j + 1, axis=-2) * down
+            return rows.take(i, axis=-1) * (1 - across) + rows.take(i + 1, axis=-1) * across
+
+        rows = slice(low // CELL, -(-high // CELL) + 1)
         count_of = self._counts[tile].repeat(TILE * CELL)[: self._width]
+        expected, beside = self._expected[rows], self._beside[part]
+        # Where an outline is between corners, there is as much as where there is the least.
+        least = np.minimum.reduce([expected[a:b, c:d] for a, b in ENDS for c, d in ENDS])
+        least = np.where(beside, least[j[:, None], i], 0)
         change = np.zeros((3, high - low, self._width))
         for count in np.unique(self._counts[tile]).tolist():
-            rows = off[count][:, low // CELL : -(-high // CELL) + 1]
-            j, i = y // CELL - low // CELL, x // CELL
-            rows = rows.take(j, axis=1) * (1 - down) + rows.take(j + 1, axis=1) * down
-            found = rows.take(i, axis=2) * (1 - across) + rows.take(i + 1, axis=2) * across
+            found = between(off[count][:, rows] * expected)
+            if beside.any():
+                np.copyto(found, between(off[count][:, rows]) * least, where=beside)
             np.copyto(change, found, where=self._served[part] & (count_of == count))
         for term in (self._layer.radiance, *[self._layer.control_variate] * self._settings.terms):
             term[part] += change.transpose(1, 2, 0)

@@ -485,7 +485,8 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        by = OverNet(fog, _points_of(fog.stretches, FOG_POINTS * settings.samples), beside(fog.stretches))
+        points = _points_of(fog.stretches, FOG_POINTS * settings.samples)
+        by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -502,7 +503,9 @@ def _of_lasers(
             return near(region, map_) | lit.creases(region, map_)
 
         points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples)
-        by = OverNet(lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS)
+        by = OverNet(
+            lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
+        )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
     if seen.stretches or seen.spots:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scenes
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.integrate import dblquad, quad
 
-from engine_core import Camera, Laser, Material, Mesh, Scene, Settings, Volume, World
+from engine_core import Camera, Laser, Material, Mesh, Scene, Settings, Volume, World, render
 from engine_core.geometry.frame import frame_of
 from engine_core.geometry.surfaces import Surfaces
 from engine_core.geometry.triangles import gather_triangles
@@ -610,6 +611,26 @@ def test_beams_in_odd_places_are_finite(start, towards, length):
     assert np.isfinite(seen.means(where, u)).all()
     for part in (integrand, seen):
         assert not part.counts["non-finite samples"]
+
+
+def test_what_a_bright_ball_is_wrong_by_is_not_seen_beside_it():
+    """On a wall behind it, which gets a three-hundredth of its light."""
+    wall = Mesh([[-9, 5, -9], [9, 5, -9], [9, 5, 9], [-9, 5, 9]], [[0, 1, 2], [0, 2, 3]])
+    ball = scenes.sphere((0.0, 0.0, 0.0), 0.15)
+    laser = beam((-4, 0.0, 0.19), (4, 0.0, 0.19), 3.0, in_fog=False, beam=False, spot=False)
+    camera = Camera.look_at((0, -4, 0), (0, 0, 0), 64, 64, 0.5)
+    scene = Scene(camera, (wall, ball), lights=(laser,), **everywhere(0.2))
+
+    def picture(samples: int, seed: int) -> np.ndarray:
+        return render(scene, Settings(samples=samples, seed=seed, threads=1)).combined[..., 0].astype(float)
+
+    truth = picture(256, 0)
+    wrong = np.array([picture(1, seed) for seed in range(4)]) - truth
+    bright = truth > 2 * np.median(truth)
+    reach = [sliding_window_view(np.pad(bright, n), (2 * n + 1,) * 2).any(axis=(2, 3)) for n in (2, 12)]
+    beside = reach[1] & ~reach[0]
+    assert np.sqrt(np.square(wrong[:, beside]).mean()) < 0.1 * np.median(truth)
+    assert np.abs(wrong[:, beside]).max() < 0.4 * np.median(truth)
 
 
 def test_scale_changes_nothing():

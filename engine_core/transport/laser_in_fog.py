@@ -36,6 +36,9 @@ from .single_scattering import Scattered, SingleScattering, run
 INSET = np.float32(1e-5)
 """Of a shadow ray, at either end: both may lie on a surface."""
 
+LOOKS = 2
+"""Points of a stretch of a beam, and of a camera ray, that tell what it brings, about."""
+
 MAPS = {"point": along_ray, "thesis_2020": along_ray_as_in_thesis}
 
 
@@ -190,8 +193,22 @@ class LaserInFog(Scattered):
             p = every.passage(stretch)
             if not isinstance(rows, slice):
                 p = p.take(rows)
-            self._add(out, which, segments, stretch, p.columns(), u)
+            self._add(out, which, segments, stretch, p.columns(), u, stretch.blockers)
         return None, self._bounded(out.reshape(3, -1))
+
+    def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:
+        """(count,) what so many camera rays bring if nothing is shaded, about: by a few points of each beam
+        and ray, always the same ones.
+        """
+        segments = RaySegments.of(rays, self.media)
+        u = (np.indices((LOOKS, LOOKS)).reshape(2, 1, -1) + 0.5) / LOOKS
+        light = np.zeros((3, len(rays), LOOKS**2), np.float32)
+        for stretch in self.stretches:
+            p = segments.passage(stretch).columns()
+            own = np.broadcast_to(u, (2, len(segments.ray), LOOKS**2))
+            self._add(light, segments.ray, segments, stretch, p, own, NONE_CAST)
+        found = np.where(np.isfinite(light), light, 0).sum(axis=(0, 2), dtype=np.float64)
+        return found if rays.lane is None else np.bincount(rays.lane, found, count)
 
     def _add(
         self,
@@ -201,16 +218,17 @@ class LaserInFog(Scattered):
         stretch: Stretch,
         p: Passage,
         u: np.ndarray,
+        blockers: int,
     ) -> None:
         """Add to light (3, M, S) of rays ``which`` (K,) what K segments get of a stretch, which they pass
-        in ``p``, at u (2, K, S).
+        in ``p``, at u (2, K, S). blockers : what casts shadows in it.
         """
         v, dv = along_beam(p, u[0])
         x, r, weight = self._map(p, v, u[1])
         weight = (weight * dv).astype(np.float32)
         one_fog = segments.meets(stretch, self.media)
         t = p.foot + v * p.cos + x
-        arrive, part = self.arriving(segments, stretch, v, t, one_fog)
+        arrive, part = self.arriving(segments, stretch, v, t, one_fog, blockers)
         seen = np.zeros((1 if part is None else len(part), v.size), np.float32)
         seen[:, arrive] = 1 if part is None else part
         seen = seen.reshape(len(seen), *v.shape)
@@ -226,17 +244,23 @@ class LaserInFog(Scattered):
                 out[:, which.take(begin)] += np.add.reduceat(value, begin, axis=1)
 
     def arriving(
-        self, segments: RaySegments, stretch: Stretch, v: np.ndarray, t: np.ndarray, one_fog: bool
+        self,
+        segments: RaySegments,
+        stretch: Stretch,
+        v: np.ndarray,
+        t: np.ndarray,
+        one_fog: bool,
+        blockers: int,
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of points t (K, S) of segments see points v (K, S) of the beam, and what part, (3, J) or
         (1, J), of its light gets there; None for all.
 
-        one_fog : what is between needs no thought.
+        one_fog : what is between needs no thought. blockers : what casts shadows.
         """
         arrive, part = np.arange(v.size), None
         origins, directions = between(segments, stretch, v, t)
-        if stretch.blockers != NONE_CAST:
-            arrive, part = self.arrivals(*shortened(origins, directions), stretch.blockers)
+        if blockers != NONE_CAST:
+            arrive, part = self.arrivals(*shortened(origins, directions), blockers)
         if not one_fog:
             origins, directions = origins.take(arrive, axis=0), directions.take(arrive, axis=0)
             left = np.exp(-self.depth_between(stretch, origins, directions))

@@ -38,6 +38,9 @@ BEND = 0.9
 ROWS = 32
 """Of the picture, traced at once for creases."""
 
+LOOKS = 2
+"""Points of a stretch of a beam that tell what it brings, about."""
+
 
 @dataclass(frozen=True, eq=False)
 class Ends:
@@ -185,6 +188,21 @@ class LaserOnSurfaces:
             for row, channel in zip(out, value, strict=True):
                 row += np.bincount(which.take(lit), channel, len(row)).astype(np.float32)
         return None, out
+
+    def unshadowed(self, hits: CameraHits, count: int) -> np.ndarray:
+        """(count,) what so many camera rays bring if nothing is shaded, about: by a few points of each beam,
+        always the same ones.
+        """
+        at, found = np.arange(len(hits.points)), np.zeros(len(hits.points))
+        if len(at):
+            u = np.broadcast_to((np.arange(LOOKS) + 0.5) / LOOKS, (len(at), LOOKS))
+            every = np.repeat(at, LOOKS)
+            for stretch in self.stretches:
+                value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
+                value = value * np.exp(-self.depth_between(stretch, v, to_beam))
+                found += np.where(np.isfinite(value), value, 0).sum(axis=0).reshape(-1, LOOKS).sum(axis=1)
+        lane = hits.points.lane
+        return found if lane is None else np.bincount(lane, found, count)
 
     def creases(self, region: tuple[int, int, int, int], map_: Map) -> np.ndarray:
         """(W, H) bool, pixels of a region x0, y0, x1, y1 between whose corners a surface turns, or ends.

@@ -57,10 +57,11 @@ MISSED = 0.125
 """Of a cell's mean chance, what all of its points get at least: where many see an edge, others have one
 between the corners."""
 
-BRIGHT = 1 / 16
-"""Chance of a point that is as bright as the mean of its cell's, at least, and of others in proportion: where
-what its corners agree on is wrong, the pixel is brighter or darker by so many times less than its chance as
-there are points: by itself of 16, by a quarter of 64. What no corner sees may be more."""
+SPECK, BRIGHT = 2.0, 1 / 16
+"""Times as bright as its cell that one point is at most, over its chance: where what its corners agree on is
+wrong, the pixel is no brighter, nor darker below zero. And the chance at least of one that is as bright as
+the mean of its cell's, of others in proportion: of 64 points, one is a quarter as bright as the cell then.
+What no corner sees may be more."""
 
 ROUGH = 0.4
 """Mean chance of a cell in whose pixels all points are asked for, at several places."""
@@ -535,7 +536,8 @@ def _chances(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     largest = _of_corners(np.maximum, summed)
     np.maximum(chance, NEXT * _largest_around(chance), out=chance)
     np.maximum(chance, MISSED * chance.mean(axis=2, keepdims=True), out=chance)
-    np.divide(largest, bright / BRIGHT, out=largest, where=bright > 0)
+    bright *= min(SPECK * values.shape[3], 1 / BRIGHT)
+    np.divide(largest, bright, out=largest, where=bright > 0)
     np.maximum(chance, largest, out=chance, where=bright > 0)
     chance *= SURE
     np.ceil(chance, out=chance)

@@ -171,6 +171,16 @@ def test_what_no_corner_sees_makes_no_specks():
     assert sorted(np.unique(made.round(5)).tolist()) == [-1, 1]
     assert abs(made.mean()) < 4 / made.size**0.5
 
+    class Different(Slit):
+        """Of points that differ, so that there are many."""
+
+        def rest(self, stage: Place, lane: Any, u: np.ndarray) -> tuple[None, np.ndarray]:
+            return None, super().rest(stage, lane, u)[1] * (0.5 + u[0].ravel()).astype(np.float32)
+
+    # Of 64 points four are asked for, each of which is a quarter as bright.
+    many = np.stack([picture(seed, 64, integrand=Different()).radiance[:, 10, 0] for seed in range(20)])
+    assert np.abs(many).max() < 0.3 and abs(many.mean()) < 1 / many.size**0.5
+
 
 def test_lights_of_one_brightness_and_several_colours_make_no_specks():
     made = np.stack([picture(seed, 16, integrand=Coloured()).radiance for seed in range(40)])

@@ -45,7 +45,7 @@ SURE = 1 << LOG_SURE
 """Chances are whole numbers of 1 / SURE, so that no rounding makes them others than they are."""
 
 LEAST = 1
-"""Of these, chance of a point on which all corners agree."""
+"""Of these, chance of a point on which all corners agree, at least: of a dark one."""
 
 DIFFERENT = 1.0
 """How much a point's corners differ, of the mean of all points, so that anything may lie between them."""
@@ -491,7 +491,9 @@ class NetPicture:
         return np.divide(off, weight, out=np.zeros_like(off), where=weight > 0)
 
     def _correct(self, tile: int, off: dict[int, np.ndarray]) -> None:
-        """Take ``off`` what the net is wrong by with as many points as it has, in a row of tiles."""
+        """Take off what the net is wrong by with as many points as it has, in a row of tiles. off : by number
+        of points, as of `_off`.
+        """
         low, high = (min((tile + i) * TILE * CELL, self._height) for i in (0, 1))
         part = slice(low, high)
         y, x = np.arange(low, high), np.arange(self._width)

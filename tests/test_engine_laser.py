@@ -18,7 +18,7 @@ from engine_core.geometry.triangles import gather_triangles
 from engine_core.integration.integrand import values_at
 from engine_core.integration.point_sets import SobolPoints
 from engine_core.integration.rules import gauss
-from engine_core.shading.closures import Diffuse, Transparent
+from engine_core.shading.closures import Diffuse, Glossy, Transparent
 from engine_core.transport.around_light import AroundLight
 from engine_core.transport.camera_hits import CameraStage, Pixels
 from engine_core.transport.camera_rays import CameraRays
@@ -611,6 +611,14 @@ def test_beams_in_odd_places_are_finite(start, towards, length):
     assert np.isfinite(seen.means(where, u)).all()
     for part in (integrand, seen):
         assert not part.counts["non-finite samples"]
+
+
+def test_expected_light_that_single_precision_does_not_hold_makes_no_holes():
+    camera = Camera.look_at((0, -6, 1), (0, 0, 0), 37, 29, 0.8)
+    laser = beam((-3, 0, 0.3), (3, 0.2, 0.3), 3e39, in_fog=False, beam=False, spot=False)
+    glossy = Material(surface=Glossy((0.9, 0.9, 0.9), 0.3))
+    scene = Scene(camera, (scenes.floor(3, -1),), (glossy,), (laser,), **everywhere(0.1))
+    assert np.isfinite(render(scene, Settings(samples=1, threads=1)).combined).all()
 
 
 def test_what_a_bright_ball_is_wrong_by_is_not_seen_beside_it():

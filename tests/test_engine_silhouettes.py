@@ -63,6 +63,18 @@ def test_silhouettes_are_followed_between_the_corners_of_pixels(seed):
     assert found[~hit.any(axis=2)].mean() < 0.1
 
 
+def test_where_the_far_plane_cuts_a_surface_there_is_an_outline():
+    """The world's fog goes on behind it."""
+    camera = Camera.look_at((0, -10, 20), (0, 30, 0), 96, 64, 0.5, clip_end=60.0)
+    made = DirectLight(replace(scene(floor(2000)), camera=camera))
+    found = silhouettes(made.stage.rays, made.surfaces, camera.region, in_order)[0]
+    x, y = (a.ravel() for a in np.indices((96, 64)))
+    seen = np.isfinite(made.depth(x, y)).reshape(96, 64)
+    last = seen.sum(axis=1).max()
+    assert 8 < last < 60 and found[:, last - 2 : last + 2].any(axis=1).all()
+    assert found.mean() < 0.05
+
+
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_outlines_are_looked_for_where_something_is(orthographic, monkeypatch):
     """In front of the camera, beside it, about it and behind it."""

@@ -200,7 +200,8 @@ class LaserOnSurfaces:
             for stretch in self.stretches:
                 value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
                 value = value * np.exp(-self.depth_between(stretch, v, to_beam))
-                found += np.where(np.isfinite(value), value, 0).sum(axis=0).reshape(-1, LOOKS).sum(axis=1)
+                value = np.where(np.isfinite(value), value, 0).sum(axis=0, dtype=np.float64)
+                found += value.reshape(-1, LOOKS).sum(axis=1)
         lane = hits.points.lane
         return found if lane is None else np.bincount(lane, found, count)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..geometry.raytracer import FAR
 from ..geometry.surfaces import Surfaces
 from ..integration.mapping import Map
 from .camera_rays import CameraRays
@@ -55,8 +56,10 @@ def silhouettes(
         u[:2] = place
         origins, directions = rays.rays(column, row, u)
         distance = surfaces.distance(origins, directions, rays.reach)
+        # What the far plane hides is as far as nothing: the world's fog goes on behind it.
+        seen = np.where(distance < np.float32(rays.reach), distance, FAR)
         with np.errstate(divide="ignore"):
-            inverse = (1 / (distance + np.float32(rays.clip_start))).reshape(place.shape[1:])
+            inverse = (1 / (seen + np.float32(rays.clip_start))).reshape(place.shape[1:])
         return inverse, None if media is None else media.met(origins, directions, distance)
 
     foggy = media if media is not None and media.bodies else None
@@ -66,7 +69,7 @@ def silhouettes(
     low, high = np.array([[x0, y0], [x1, y1]]) + [[-1], [2]]
     shape = tuple(high - low)
     met = np.zeros(shape, np.uint64, order="F") if foggy is not None else None
-    inverse = np.full(shape, 1 / np.float32(rays.reach + rays.clip_start), np.float32, order="F")
+    inverse = np.full(shape, 1 / FAR, np.float32, order="F")
     if foggy is None:
         low, high = _about_all(rays, surfaces.triangles.vertices, low, high)
     x = np.arange(low[0], high[0])

@@ -85,9 +85,6 @@ TOGETHER = 1 << 11
 AROUND = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 """Weights of the corners that tell how wrong the net is, along each axis."""
 
-ENDS = (None, -1), (1, None)
-"""Of rows, or columns, of corners: those before cells, and those behind."""
-
 MOST_POINTS = 512
 """Of a net; where more are wanted there are several, one after another."""
 
@@ -510,8 +507,7 @@ class NetPicture:
         count_of = self._counts[tile].repeat(TILE * CELL)[: self._width]
         expected, beside = self._expected[rows], self._beside[part]
         # Where an outline is between corners, there is as much as where there is the least.
-        least = np.minimum.reduce([expected[a:b, c:d] for a, b in ENDS for c, d in ENDS])
-        least = np.where(beside, least[j[:, None], i], 0)
+        least = _of_corners(np.minimum, expected)[j[:, None], i]
         change = np.zeros((3, high - low, self._width))
         for count in np.unique(self._counts[tile]).tolist():
             found = between(off[count][:, rows] * expected)
@@ -563,7 +559,7 @@ def _differing(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 
 def _of_corners(of_two: np.ufunc, a: np.ndarray) -> np.ndarray:
-    """(rows, columns, N) of each cell's four corners, of which ``a`` (rows + 1, columns + 1, N) is told."""
+    """(rows, columns, ...) of each cell's four corners, where ``a`` (rows + 1, columns + 1, ...) is told."""
     a = of_two(a[:-1], a[1:])
     return of_two(a[:, :-1], a[:, 1:])
 

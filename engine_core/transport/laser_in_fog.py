@@ -13,7 +13,7 @@ and V visibility between the two. As a staged function of primary space:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -193,7 +193,7 @@ class LaserInFog(Scattered):
             p = every.passage(stretch)
             if not isinstance(rows, slice):
                 p = p.take(rows)
-            self._add(out, which, segments, stretch, p.columns(), u, stretch.blockers)
+            self._add(out, which, segments, stretch, p.columns(), u)
         return None, self._bounded(out.reshape(3, -1))
 
     def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:
@@ -206,7 +206,7 @@ class LaserInFog(Scattered):
         for stretch in self.stretches:
             p = segments.passage(stretch).columns()
             own = np.broadcast_to(u, (2, len(segments.ray), LOOKS**2))
-            self._add(light, segments.ray, segments, stretch, p, own, NONE_CAST)
+            self._add(light, segments.ray, segments, replace(stretch, blockers=NONE_CAST), p, own)
         found = np.where(np.isfinite(light), light, 0).sum(axis=(0, 2), dtype=np.float64)
         return found if rays.lane is None else np.bincount(rays.lane, found, count)
 
@@ -218,17 +218,16 @@ class LaserInFog(Scattered):
         stretch: Stretch,
         p: Passage,
         u: np.ndarray,
-        blockers: int,
     ) -> None:
         """Add to light (3, M, S) of rays ``which`` (K,) what K segments get of a stretch, which they pass
-        in ``p``, at u (2, K, S). blockers : what casts shadows in it.
+        in ``p``, at u (2, K, S).
         """
         v, dv = along_beam(p, u[0])
         x, r, weight = self._map(p, v, u[1])
         weight = (weight * dv).astype(np.float32)
         one_fog = segments.meets(stretch, self.media)
         t = p.foot + v * p.cos + x
-        arrive, part = self.arriving(segments, stretch, v, t, one_fog, blockers)
+        arrive, part = self.arriving(segments, stretch, v, t, one_fog)
         seen = np.zeros((1 if part is None else len(part), v.size), np.float32)
         seen[:, arrive] = 1 if part is None else part
         seen = seen.reshape(len(seen), *v.shape)
@@ -244,23 +243,17 @@ class LaserInFog(Scattered):
                 out[:, which.take(begin)] += np.add.reduceat(value, begin, axis=1)
 
     def arriving(
-        self,
-        segments: RaySegments,
-        stretch: Stretch,
-        v: np.ndarray,
-        t: np.ndarray,
-        one_fog: bool,
-        blockers: int,
+        self, segments: RaySegments, stretch: Stretch, v: np.ndarray, t: np.ndarray, one_fog: bool
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Which (J,) of points t (K, S) of segments see points v (K, S) of the beam, and what part, (3, J) or
         (1, J), of its light gets there; None for all.
 
-        one_fog : what is between needs no thought. blockers : what casts shadows.
+        one_fog : what is between needs no thought.
         """
         arrive, part = np.arange(v.size), None
         origins, directions = between(segments, stretch, v, t)
-        if blockers != NONE_CAST:
-            arrive, part = self.arrivals(*shortened(origins, directions), blockers)
+        if stretch.blockers != NONE_CAST:
+            arrive, part = self.arrivals(*shortened(origins, directions), stretch.blockers)
         if not one_fog:
             origins, directions = origins.take(arrive, axis=0), directions.take(arrive, axis=0)
             left = np.exp(-self.depth_between(stretch, origins, directions))

@@ -100,8 +100,8 @@ SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
 """Of each pixel that sees a beam, and of each that sees where one ends, in a picture of one sample. Of more
 samples, as many times as many, up to the last."""
 
-FEW_POINTS = 16
-"""Of the net of several lasers, whose light is their sum, at least."""
+FEW_POINTS, FEW_SURFACE_POINTS = 16, 8
+"""Of the net of several lasers, whose light is their sum, at least: in fog, and on surfaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +306,7 @@ def _of_fog(
         if not (by_net and _few_at_once(scattering, lights, region)):
             choice = scattering.choice_of_cells(lights, *cells(region), check)
         learn, points = None, _growing(LIGHT_POINTS, settings.samples)
-        light = ScatteredLight(scattering, lights, choice, check, by_phase)
+        light = ScatteredLight(scattering, lights, choice, check, by_phase, shifted=True)
         if choice is None and by_net and len(lights) <= FOLLOWED:
             each = [ScatteredLight(scattering, np.array([one]), None, check, by_phase) for one in lights]
 
@@ -485,7 +485,7 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        points = _points_of(fog.stretches, FOG_POINTS * settings.samples)
+        points = _points_of(fog.stretches, FOG_POINTS * settings.samples, FEW_POINTS)
         by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
@@ -502,7 +502,7 @@ def _of_lasers(
         def and_creases(region: Region, map_: Map) -> np.ndarray:
             return near(region, map_) | lit.creases(region, map_)
 
-        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples)
+        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples, FEW_SURFACE_POINTS)
         by = OverNet(
             lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
         )
@@ -517,10 +517,12 @@ def _of_lasers(
     return parts
 
 
-def _points_of(stretches: Sequence[Stretch], of_one: int) -> int:
-    """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one."""
+def _points_of(stretches: Sequence[Stretch], of_one: int, fewest: int) -> int:
+    """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one.
+    fewest : a power of two.
+    """
     wanted = of_one / np.sqrt(_many(stretches))
-    return 1 << max(round(np.log2(wanted)), int(np.log2(FEW_POINTS)))
+    return max(1 << round(np.log2(wanted)), fewest)
 
 
 def _many(stretches: Sequence[Stretch]) -> float:

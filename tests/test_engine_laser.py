@@ -18,7 +18,8 @@ from engine_core.geometry.triangles import gather_triangles
 from engine_core.integration.integrand import values_at
 from engine_core.integration.point_sets import SobolPoints
 from engine_core.integration.rules import gauss
-from engine_core.shading.closures import Diffuse, Glossy, Transparent
+from engine_core.shading.closures import Add, Diffuse, Glossy, Transparent
+from engine_core.transport import laser_on_surfaces
 from engine_core.transport.around_light import AroundLight
 from engine_core.transport.camera_hits import CameraStage, Pixels
 from engine_core.transport.camera_rays import CameraRays
@@ -425,6 +426,69 @@ def test_light_on_surfaces_is_the_integral_along_the_beam(seed):
         np.exp(-sigma * np.linalg.norm(point - line.origin)) * laser.power[channel] * scattering[channel]
     )
     assert value[channel] == pytest.approx(wanted, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "roughness, diffuse, most",
+    [
+        (0.03, 0.0, 0.13),
+        (0.2, 0.0, 0.13),
+        (0.2, 0.4, 0.09),
+        # Of no use to have points there.
+        (0.03, 0.4, 0.03),
+        (0.7, 0.0, 0.03),
+        (0.7, 0.4, 0.03),
+    ],
+)
+def test_what_metal_mirrors_of_a_beam_is_no_matter_of_luck(roughness, diffuse, most):
+    """A beam over a floor that shows it more or less sharply, in 32 places, by nets of 16 points."""
+    closure = Add(Glossy((0.9,) * 3, roughness), Diffuse((diffuse,) * 3))
+    laser, fog = beam((-5, 0.3, 0.8), (5, -0.2, 0.9), 1.0, length=10.0), everywhere(0.1, 0.0, 0.5)
+    integrands = []
+    for x in np.linspace(-3, 3, 32):
+        camera = pinhole((0.2 * x, -3, 2), (x, -0.5, 0))
+        scene = Scene(camera, (scenes.floor(20),), (Material(surface=closure),), (laser,), **fog)
+        integrands.append(Stage(scene).on_surfaces())
+
+    def values(u: np.ndarray) -> np.ndarray:
+        """(32, N) at u (N,) in every place."""
+        hits = [integrand.first(pixels(), MIDDLE) for integrand in integrands]
+        found = [i.rest(h, None, u[None, None])[1][0] for i, h in zip(integrands, hits, strict=True)]
+        return np.array(found, np.float64)
+
+    # Evenly by the angle alone, which is another map.
+    many = (np.arange(1 << 14) + 0.5) / (1 << 14)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(laser_on_surfaces, "MIRRORED", 0.0)
+        wanted = values(many).mean(axis=1)
+    np.testing.assert_allclose(values(many).mean(axis=1), wanted, rtol=2e-3)
+    rng = np.random.default_rng(3)
+    found = np.array([values((np.arange(16) + rng.random(16)) / 16).mean(axis=1) for _ in range(8)])
+    assert np.sqrt(np.square(found / wanted - 1).mean()) < most
+
+
+def test_errors_of_beams_that_are_alike_even_out():
+    """Of eight in one place, by the same points."""
+    laser, camera = beam((-3, 0.4, 0.5), (3, 0.4, 1.0), 1.0), pinhole((0, -4, 2), (0.3, 0.2, 0.3))
+    occluder = scenes.sphere((0.0, 0.1, 0.5), 0.25)
+
+    def wrong(beams: int) -> tuple[float, float]:
+        """Relative deviations over nets of 8 points, of light in fog and on surfaces."""
+        meshes = (occluder, scenes.floor(9))
+        stage, found = Stage(Scene(camera, meshes, lights=(laser,) * beams, **everywhere(0.2))), []
+        for integrand in (stage.in_fog(), stage.on_surfaces()):
+            seen, values = integrand.first(pixels(), MIDDLE), []
+            for seed in range(64):
+                points = SobolPoints(range(integrand.rest_dimensions), seed, 3)
+                points.prepare(8)
+                u = points.points(pixels().key(), 0, 8)
+                values.append(integrand.rest(seen, None, u)[1][0].mean())
+            found.append(np.std(values) / np.mean(values))
+        return found
+
+    for one, eight in zip(wrong(1), wrong(8), strict=True):
+        # A third if they were independent.
+        assert eight < 0.5 * one
 
 
 def test_polar_points_about_a_beams_end_are_unbiased_and_calm():

@@ -13,6 +13,7 @@ from scipy.stats import qmc
 from engine_core.integration.point_sets import PointSet, SobolPoints, staged_points
 from engine_core.integration.sobol import (
     MAX_DIMENSIONS,
+    digital_shift,
     hash_combine,
     mix,
     owen_scramble,
@@ -105,6 +106,24 @@ def test_owen_scrambling_keeps_nets():
     for seed in range(20):
         net = np.stack([owen_scramble(sobol(index, d), seed * 7 + d) for d in range(2)])
         _assert_net(unit_float(net), t=0)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_digital_shift_keeps_nets_and_makes_others(dtype):
+    net = np.stack([unit_float(sobol(np.arange(64, dtype=np.uint32), d), dtype) for d in range(2)])
+    assert np.array_equal(digital_shift(net, 0), net)
+    for number in (1, 7):
+        shifted = digital_shift(net, number)
+        assert shifted.dtype == dtype and shifted.min() > 0 and shifted.max() < 1
+        assert np.abs(shifted - net).max() > 0.1
+        for rows in (1, 2, 4, 8, 16, 32, 64):
+            cell = (shifted[0] * rows).astype(int) * (64 // rows) + (shifted[1] * (64 // rows)).astype(int)
+            assert len(np.unique(cell)) == 64
+    mixed = digital_shift(net, np.arange(64) % 3)
+    for number in range(3):
+        assert np.array_equal(mixed[:, number::3], digital_shift(net, number)[:, number::3])
+    many = digital_shift(np.full((1, 4096), 0.3, dtype), np.arange(4096))
+    assert abs(many.mean() - 0.5) < 4 / np.sqrt(12 * 4096)
 
 
 def test_owen_scrambling_keeps_blocks_of_indices():

@@ -35,6 +35,9 @@ MAX_DIMENSIONS = len(_JOE_KUO) + 1
 AT_ONCE = 1 << 15
 """Coins of a scrambling that are tossed at once, about."""
 
+SHIFTED = np.uint32(0xFFFFFE00)
+"""Digits of 32 that `digital_shift` changes: the highest, of `unit_float`."""
+
 
 def direction_numbers(dimension: int) -> np.ndarray:
     """The (32,) uint32 direction numbers of one dimension."""
@@ -104,6 +107,21 @@ def owen_scramble(x: np.ndarray, seed: int | np.ndarray, bits: int = BITS) -> np
         coin = np.bitwise_or.reduce(coin, axis=0)
         flips |= coin.take(half >> after[0, 0], axis=-1) if few else coin
     return x ^ flips
+
+
+def digital_shift(u: np.ndarray, number: int | np.ndarray) -> np.ndarray:
+    """Points u (D, ...) in (0, 1) of a net, as another net has them: which one, ``number`` (N,) says for each
+    of u (D, N), or one for all. 0 changes nothing.
+    """
+    if np.ndim(number) == 0 and number == 0:
+        return u
+    numbers = np.arange(int(np.max(number, initial=0)) + 1)
+    digits = hash_combine(np.arange(len(u))[:, None], numbers) & SHIFTED
+    digits[:, 0] = 0
+    digits = digits.take(number, axis=1) if np.ndim(number) else digits[:, number]
+    changed = (u * u.dtype.type(2.0**32)).astype(np.uint32)
+    changed ^= digits.reshape(len(u), *[1] * (u.ndim - np.ndim(number) - 1), *np.shape(number))
+    return unit_float(changed, u.dtype)
 
 
 def unit_float(x: np.ndarray, dtype: type = np.float32) -> np.ndarray:

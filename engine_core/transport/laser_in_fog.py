@@ -19,6 +19,7 @@ import numpy as np
 
 from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import take
+from ..integration.sobol import digital_shift
 from . import phase
 from .direct_light import CROSSING, SHADOW
 from .fog_rays import FogRays
@@ -189,11 +190,11 @@ class LaserInFog(Scattered):
         out = np.zeros((3, *u.shape[1:]), np.float32)
         if len(which) != u.shape[1] or not (which == np.arange(len(which))).all():
             u = u.take(which, axis=1)
-        for stretch in self.stretches:
+        for number, stretch in enumerate(self.stretches):
             p = every.passage(stretch)
             if not isinstance(rows, slice):
                 p = p.take(rows)
-            self._add(out, which, segments, stretch, p.columns(), u)
+            self._add(out, which, segments, stretch, p.columns(), digital_shift(u, number))
         return None, self._bounded(out.reshape(3, -1))
 
     def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:

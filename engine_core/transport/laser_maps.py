@@ -32,6 +32,9 @@ LEAST_GAP = 1e-9
 LEAST_SINE = 1e-30
 """Lines that are parallel count as nearly so: the map's limit, uniform on the beam, needs no other case."""
 
+LEAST_OF_LOBE = 1e-6
+"""Of a lobe, the part that a stretch fills, below which all of it is alike."""
+
 
 @dataclass(eq=False)
 class Passage:
@@ -136,6 +139,29 @@ def half_angles(low: np.ndarray, high: np.ndarray, gap: np.ndarray) -> tuple[np.
     square = gap * gap
     below, above = low / (gap + np.sqrt(square + low * low)), high / (gap + np.sqrt(square + high * high))
     return below, above - below
+
+
+def half_angles_by_lobe(
+    low: np.ndarray, dw: np.ndarray, lobe: tuple[np.ndarray, np.ndarray, np.ndarray], u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """w (L, S) from ``low`` (L,) on at u (L, S), a share of them about an angle as 1 / (width^2 + off^2) and
+    the others evenly over ``dw`` (L,); and dw/du, by the balance heuristic of both.
+
+    lobe : (L,) each: the angle 2 arctan w in its middle, width, and share.
+    """
+    (middle, width, share), low, dw = (a[:, None] for a in lobe), low[:, None], dw[:, None]
+    first, last = (np.arctan((2 * np.arctan(w) - middle) / width) for w in (low, low + dw))
+    # Within so little, nothing differs.
+    share = np.where(last - first > LEAST_OF_LOBE, share, 0)
+    evenly = u >= share
+    v = np.where(evenly, (u - share) / (1 - share), u / np.where(share > 0, share, 1))
+    angle = middle + width * np.tan(first + v * (last - first))
+    w = np.where(evenly, low + v * dw, np.clip(np.tan(0.5 * angle), low, low + dw))
+    off = 2 * np.arctan(w) - middle
+    density = (
+        2 * width * dw / ((width * width + off * off) * (1 + w * w) * np.maximum(last - first, LEAST_OF_LOBE))
+    )
+    return w, dw / (1 - share + share * density)
 
 
 def at_half_angle(

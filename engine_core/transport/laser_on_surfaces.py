@@ -19,14 +19,17 @@ from threading import Lock
 
 import numpy as np
 
+from ..bsdf.microfacet import MIN_ALPHA
 from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, inverse_length, take
 from ..integration.integrand import FirstStage
 from ..integration.mapping import Map
+from ..integration.sobol import digital_shift
 from ..scene import Linking
 from .camera_hits import CameraHits, CameraStage, Pixels
 from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _inset
-from .laser_maps import LEAST_DISTANCE, at_half_angle, half_angles
+from .highlights import Highlights
+from .laser_maps import LEAST_DISTANCE, at_half_angle, half_angles, half_angles_by_lobe
 from .lasers import Lasers, Stretch, halves, scattered
 from .media import Media
 from .shadows import Shadows
@@ -37,6 +40,11 @@ BEND = 0.9
 
 ROWS = 32
 """Of the picture, traced at once for creases."""
+
+MIRRORED, WIDE = 0.5, 0.5
+"""Of a beam's points, those that are where a lobe mirrors it that is brighter there than all that is diffuse:
+half of a net are one, too. But a lobe that is as wide as that, in radians, is no matter of luck.
+"""
 
 LOOKS = 2
 """Points of a stretch of a beam that tell what it brings, about."""
@@ -68,6 +76,52 @@ class Towards:
     at: np.ndarray
     to_light: np.ndarray
     at_infinity: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrored:
+    """Where M points show a beam of which they mirror some.
+
+    direction : (3, M) of the middle of the highest lobe, unit. width : (M,) of that, in radians.
+    peak, diffuse : (M,) BRDF in its middle, and of all lobes that are smooth.
+    """
+
+    direction: np.ndarray
+    width: np.ndarray
+    peak: np.ndarray
+    diffuse: np.ndarray
+
+    @staticmethod
+    def of(hits: CameraHits) -> Mirrored | None:
+        """None where all lobes are smooth."""
+        seen = Highlights.of(hits.slots, len(hits.points))
+        if seen is None:
+            return None
+        direction, width, peak = np.zeros((3, len(seen.diffuse))), np.ones(len(seen.diffuse)), 0.0
+        for lobe in seen.glossy:
+            # A mirror shows no light that has no size.
+            strength = np.where(lobe.alpha > MIN_ALPHA, lobe.strength, 0)
+            own = np.nan_to_num(strength / (4 * np.pi * np.square(lobe.alpha.astype(np.float64))))
+            higher = own > peak
+            direction = np.where(higher, 2 * lobe.cos_viewer * lobe.normal - lobe.towards_viewer, direction)
+            # Half vectors turn by half of the angle.
+            width = np.where(higher, 2 * lobe.alpha, width)
+            peak = np.maximum(peak, own)
+        return Mirrored(direction, width, peak, seen.diffuse)
+
+    def take(self, rows: np.ndarray) -> Mirrored:
+        return Mirrored(*(x[..., rows] for x in (self.direction, self.width, self.peak, self.diffuse)))
+
+    def lobe(self, across: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `half_angles_by_lobe` wants it, of angles from unit vectors ``across`` (3, M) to ``axis``."""
+        along, beside = dot(self.direction, axis), dot(self.direction, across)
+        off = np.maximum(1 - along * along - beside * beside, 0)
+        square = self.width * self.width
+        # What a beam that passes the lobe's middle at some distance gets of it.
+        peak = self.peak / np.square(1 + off / square)
+        square = square + off
+        bright = (peak > self.diffuse) & (square < WIDE**2)
+        return np.arctan2(along, beside), np.sqrt(square), MIRRORED * bright
 
 
 EVERYTHING = Linking()
@@ -174,9 +228,12 @@ class LaserOnSurfaces:
             return None, out
         u = u.take(which, axis=0)
         which = (which[:, None] * split + np.arange(split)).ravel()
+        mirrored = Mirrored.of(hits)
+        mirrored = None if mirrored is None else mirrored.take(at)
         every = np.repeat(at, split) if split > 1 else at
-        for stretch in self.stretches:
-            value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
+        for number, stretch in enumerate(self.stretches):
+            own = digital_shift(u[None], number)[0]
+            value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, own, mirrored)
             lit = np.flatnonzero(self.finite(value).any(axis=0))
             if stretch.blockers != NONE_CAST:
                 arrive, part = self.arrivals(hits, every.take(lit), take(to_beam, lit), stretch.blockers)
@@ -196,9 +253,9 @@ class LaserOnSurfaces:
         at, found = np.arange(len(hits.points)), np.zeros(len(hits.points))
         if len(at):
             u = np.broadcast_to((np.arange(LOOKS) + 0.5) / LOOKS, (len(at), LOOKS))
-            every = np.repeat(at, LOOKS)
+            every, mirrored = np.repeat(at, LOOKS), Mirrored.of(hits)
             for stretch in self.stretches:
-                value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u)
+                value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, u, mirrored)
                 value = value * np.exp(-self.depth_between(stretch, v, to_beam))
                 value = np.where(np.isfinite(value), value, 0).sum(axis=0, dtype=np.float64)
                 found += value.reshape(-1, LOOKS).sum(axis=1)
@@ -287,10 +344,14 @@ def reflected(
     stretch: Stretch,
     reflection: Reflection,
     u: np.ndarray,
+    mirrored: Mirrored | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What points ``at`` (L,) of camera hits reflect of a stretch of a beam, at u (L, S), mapped by 1/r^2.
+    """What points ``at`` (L,) of camera hits reflect of a stretch of a beam, at u (L, S).
 
-    every : (L * S,) the points again, S times each. Returns (3, L * S) the integrand, but for what is
+    The map is by 1/r^2, and in part by where they mirror it.
+
+    every : (L * S,) the points again, S times each. mirrored : of L points; None
+    where there is none. Returns (3, L * S) the integrand, but for what is
     between; v (L * S,) of the stretch; and vectors (3, L * S) float32 there.
     """
     axis = stretch.direction[:, None]
@@ -300,7 +361,10 @@ def reflected(
     far = np.maximum(np.abs(foot), np.abs(last))
     gap = np.maximum(np.sqrt(dot(apart, apart)), LEAST_DISTANCE * far)
     low, dw = half_angles(foot, last, gap)
-    x, r, weight = at_half_angle(low[:, None] + u * dw[:, None], dw[:, None], gap[:, None])
+    w, each = low[:, None] + u * dw[:, None], dw[:, None]
+    if mirrored is not None:
+        w, each = half_angles_by_lobe(low, dw, mirrored.lobe(apart / gap, axis), u)
+    x, r, weight = at_half_angle(w, each, gap[:, None])
     v = np.clip(x - foot[:, None], 0, stretch.length).ravel()
     to_beam = np.empty((3, *x.shape), np.float32)
     direction = np.empty_like(to_beam)

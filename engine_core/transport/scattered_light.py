@@ -15,6 +15,7 @@ import numpy as np
 from ..geometry.raytracer import FAR
 from ..geometry.surfaces import NONE_CAST
 from ..geometry.vectors import dot, inverse_length, take
+from ..integration.sobol import digital_shift
 from . import phase
 from .camera_hits import Pixels
 from .direct_light import CROSSING, SHADOW, _inset
@@ -90,12 +91,15 @@ class ScatteredLight(Scattered):
         choice: FogChoice | None = None,
         check: Callable[[], None] = lambda: None,
         by_phase: np.ndarray | None = None,
+        shifted: bool = False,
     ) -> None:
         """choice : among the lights (`SingleScattering.choice_of_cells`); None samples them all.
         by_phase : (L,) of all lights, as of `SingleScattering.shares_of_phase`; None for none.
+        shifted : whether each of all lights has the points of a net otherwise (`digital_shift`), so that
+        errors of those that are alike even out. A polynomial would not follow what is cut up so.
         """
         super().__init__(scattering, lights, check)
-        self._choice = choice
+        self._choice, self._shifted = choice, shifted
         # A share that went with the place would make a point follow another technique in the next pixel.
         self._by_phase = np.zeros(len(scattering.lights), np.float32) if by_phase is None else by_phase
         self.guide: Guide | None = None
@@ -167,7 +171,10 @@ class ScatteredLight(Scattered):
             number, row = np.nonzero(lit)
             light = self._lights.take(number)
             which = (row[:, None] * split + np.arange(split)).ravel()
-            w, at = u[-1].take(which), take(u[:DIMENSIONS], which)
+            own = take(u, which)
+            if self._shifted:
+                own = digital_shift(own, np.repeat(number, split))
+            w, at = own[-1], own[:DIMENSIONS]
             if rays.tiles is not None:
                 weight, of_ray = np.ones(len(which), np.float32), np.repeat(ray, split)
                 bounds = np.searchsorted(number, np.arange(len(self._lights) + 1)) * split

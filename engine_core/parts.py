@@ -100,8 +100,8 @@ SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
 """Of each pixel that sees a beam, and of each that sees where one ends, in a picture of one sample. Of more
 samples, as many times as many, up to the last."""
 
-FEW_POINTS, FEW_SURFACE_POINTS = 16, 8
-"""Of the net of several lasers, whose light is their sum, at least: in fog, and on surfaces."""
+FEW_POINTS, MANY_LASERS = 16, 12
+"""Of the net of several lasers, whose light is their sum, at least; on surfaces, of so many, half of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -485,7 +485,7 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        points = _points_of(fog.stretches, FOG_POINTS * settings.samples, FEW_POINTS)
+        points = _points_of(fog.stretches, FOG_POINTS * settings.samples)
         by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed)
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
@@ -502,7 +502,7 @@ def _of_lasers(
         def and_creases(region: Region, map_: Map) -> np.ndarray:
             return near(region, map_) | lit.creases(region, map_)
 
-        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples, FEW_SURFACE_POINTS)
+        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples, FEW_POINTS // 2)
         by = OverNet(
             lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
         )
@@ -517,12 +517,13 @@ def _of_lasers(
     return parts
 
 
-def _points_of(stretches: Sequence[Stretch], of_one: int, fewest: int) -> int:
+def _points_of(stretches: Sequence[Stretch], of_one: int, fewest: int = FEW_POINTS) -> int:
     """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one.
-    fewest : a power of two.
+    fewest : of many.
     """
-    wanted = of_one / np.sqrt(_many(stretches))
-    return max(1 << round(np.log2(wanted)), fewest)
+    many = _many(stretches)
+    fewest = fewest if many >= MANY_LASERS else FEW_POINTS
+    return max(1 << round(np.log2(of_one / np.sqrt(many))), fewest)
 
 
 def _many(stretches: Sequence[Stretch]) -> float:

@@ -617,6 +617,20 @@ def test_beams_end_at_what_blocks_them():
     assert stage.lasers.stretches[0].length / stage.frame.scale == pytest.approx(7)
 
 
+@pytest.mark.parametrize("off, reach", [(0.0, 4.0), (-1e-6, 4.0), (1e-6, 4.0), (-0.01, 0.01)])
+def test_a_laser_that_touches_a_wall_shines_off_it(off, reach):
+    """And does not pass it from behind."""
+    walls = tuple(Mesh([[x, -9, -9], [x, 9, -9], [x, 0, 9]], [[0, 1, 2]]) for x in (-2, 2))
+    laser = beam((-2 + off, 3.3, 1.7), (3, 3.3, 1.7), 1.0, radius=0.01)
+    camera = Camera.look_at((0, -4, 2), (0, 3, 1.5), 16, 9)
+    lasers = Stage(Scene(camera, walls, lights=(laser,), **everywhere(0.2))).lasers
+    (stretch,) = lasers.stretches
+    scale = stretch.radius / laser.radius
+    assert stretch.length == pytest.approx(reach * scale, rel=1e-3)
+    # Where its light ends, a whole disk does.
+    assert max(points.shape[1] for points in lasers.beams[0].ends) == 41
+
+
 def test_beams_pass_what_is_transparent_in_part():
     pane = scenes.floor(5, z=1.5, materials=1)
     materials = (Material(0.5), Material(surface=Transparent((0.25, 0.5, 1.0))))

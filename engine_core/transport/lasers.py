@@ -32,6 +32,9 @@ DEEPEST = 40.0
 THINNEST = 1e-5
 """Radius of a beam in the frame's units at least."""
 
+BEFORE = 1e-5
+"""Of a beam in the frame's units, which nothing blocks: a laser that touches a wall shines off it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
@@ -132,7 +135,7 @@ def _traced(
     length = laser.length * frame.scale
     ends, left = np.zeros(0), np.ones((3, 1))
     if blockers != NONE_CAST:
-        ends, part = shadows.met(row, along, length, blockers)
+        ends, part = _met(shadows, origin, direction, length, blockers)
         left = np.concatenate([left, part], axis=1)
         if ends.size and not part[:, -1].any():
             length = float(ends[-1])
@@ -186,19 +189,28 @@ def _ends(
 ) -> list[np.ndarray]:
     """`Beam.ends`, from rays about its axis and along its rim."""
     side, other = (np.ravel(a) for a in basis(direction[:, None]))
-    along, met, points = direction.astype(np.float32)[None], [], []
+    met, points = [], []
     for ring, count in ((0.0, 1), (0.6, 8), (1.0, 32)):
         for angle in 2 * np.pi * np.arange(count) / count:
             start = origin + radius * ring * (np.cos(angle) * side + np.sin(angle) * other)
             # It shines on what does not block it, too.
             for which in {ALL_CAST, blockers}:
-                distances, _ = shadows.met(start.astype(np.float32)[None], along, length, which)
+                distances, _ = _met(shadows, start, direction, length, which)
                 met.append(distances)
                 points.append(start[:, None] + distances * direction[:, None])
     met, points = np.concatenate(met), np.concatenate(points, axis=1)
     order = np.argsort(met)
     cuts = np.flatnonzero(np.diff(met[order]) > 4 * radius) + 1
     return [points[:, part] for part in np.split(order, cuts)] if met.size else []
+
+
+def _met(
+    shadows: Shadows, start: np.ndarray, direction: np.ndarray, length: float, blockers: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `Shadows.met`, of a ray of a beam from ``start`` (3,)."""
+    row, along = (start + BEFORE * direction).astype(np.float32)[None], direction.astype(np.float32)[None]
+    distances, part = shadows.met(row, along, length - BEFORE, blockers)
+    return distances + BEFORE, part
 
 
 def scattered(components: list[tuple[np.ndarray, float]], less: np.ndarray, more: np.ndarray) -> np.ndarray:

@@ -213,10 +213,8 @@ class NetPicture:
         rough, bright = roughness_of_tiles(
             self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
         )
-        # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole; and
-        # most of these points are asked for in each pixel.
-        of_many = self._by.chooses
-        noise, bright = (noise or 0) / (CELL if of_many else 1), None if of_many else bright
+        # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole.
+        noise, bright = (noise or 0) / (CELL if self._by.chooses else 1), bright if self._by.more else None
         self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points, around))
         counts = points_of_tiles(rough, self._points)
         self.noise = noise_of_points(rough, counts) / self._rounds**0.5

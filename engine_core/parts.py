@@ -91,7 +91,7 @@ LEARNING = 1 / 16
 follow: about as much as corners of cells do."""
 
 FOG_POINTS, SURFACE_POINTS = 32, 16
-"""Of the net of a laser, for each of `Settings.samples`: in fog, where it has two dimensions; on surfaces."""
+"""Of the net of a laser in a picture of one sample: in fog, where it has two dimensions; on surfaces."""
 
 BESIDE = 2.0
 """Pixels to either side of a beam, which no polynomial serves."""
@@ -99,6 +99,9 @@ BESIDE = 2.0
 SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
 """Of each pixel that sees a beam, and of each that sees where one ends, in a picture of one sample. Of more
 samples, as many times as many, up to the last."""
+
+FEW_HIDDEN_POINTS = 8, 4
+"""Of either, where noise beside is far more than the net's."""
 
 FEW_POINTS, MANY_LASERS = 16, 12
 """Of the net of several lasers, whose light is their sum, at least; on surfaces, of so many, half of that."""
@@ -159,6 +162,7 @@ class OverNet:
     chooses : whether a point chooses among lights: what it follows may be another one's anywhere then.
     fewest : points that do where noise of what is shown beside hides that they are few; 0 if as many as said
         are taken whatever that is.
+    more : whether more than are said are worth it where what these are wrong by would be a pattern.
     """
 
     integrand: StagedIntegrand
@@ -170,6 +174,7 @@ class OverNet:
     expected: Callable[[Any, int], np.ndarray] | None = None
     chooses: bool = False
     fewest: int = 0
+    more: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,6 +331,7 @@ def _of_fog(
             expected=light.unshadowed,
             chooses=choice is not None,
             fewest=FEW_LIGHT_POINTS if choice is None else FEW_OF_MANY_LIGHTS,
+            more=choice is None,
         )
 
     def by_rays(
@@ -454,7 +460,7 @@ def _of_distance(scattering: SingleScattering, lights: np.ndarray, rays: FogRays
     return np.where(np.isinf(scene.reach[lights]), scattering.sine[lights], scene.reach[lights] / distance)
 
 
-def _growing(of_one: int, samples: int) -> int:
+def _growing(of_one: float, samples: int) -> int:
     """Points of a net, ``of_one`` for one sample: so many that errors are least that fall as 1 / samples."""
     return 1 << int(np.log2(of_one) + np.log2(samples) * 2 / 3)
 
@@ -485,8 +491,8 @@ def _of_lasers(
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
         fog = LaserInFog(lasers, scattering, check=check)
-        points = _points_of(fog.stretches, FOG_POINTS * settings.samples)
-        by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed)
+        points = _points_of(fog.stretches, FOG_POINTS, settings.samples)
+        by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed, fewest=FEW_HIDDEN_POINTS[0])
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
@@ -502,9 +508,15 @@ def _of_lasers(
         def and_creases(region: Region, map_: Map) -> np.ndarray:
             return near(region, map_) | lit.creases(region, map_)
 
-        points = _points_of(lit.stretches, SURFACE_POINTS * settings.samples, FEW_POINTS // 2)
+        points = _points_of(lit.stretches, SURFACE_POINTS, settings.samples, FEW_POINTS // 2)
         by = OverNet(
-            lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
+            lit,
+            points,
+            and_creases,
+            elsewhere,
+            FOG_POINTS // SURFACE_POINTS,
+            expected=lit.unshadowed,
+            fewest=FEW_HIDDEN_POINTS[1],
         )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
@@ -517,13 +529,13 @@ def _of_lasers(
     return parts
 
 
-def _points_of(stretches: Sequence[Stretch], of_one: int, fewest: int = FEW_POINTS) -> int:
-    """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one.
-    fewest : of many.
+def _points_of(stretches: Sequence[Stretch], of_one: int, samples: int, fewest: int = FEW_POINTS) -> int:
+    """Points of a net of several lasers, whose errors even out; a power of two. of_one : of a single one, for
+    one sample. fewest : of many.
     """
     many = _many(stretches)
     fewest = fewest if many >= MANY_LASERS else FEW_POINTS
-    return max(1 << round(np.log2(of_one / np.sqrt(many))), fewest)
+    return max(_growing(of_one / many**0.5, samples), fewest)
 
 
 def _many(stretches: Sequence[Stretch]) -> float:

@@ -113,7 +113,7 @@ def picture(
 
     integrand = integrand or Broken()
     expected = getattr(integrand, "expected", None)
-    by = OverNet(integrand, samples, outlines, fewest=8, expected=expected, chooses=chooses)
+    by = OverNet(integrand, samples, outlines, fewest=8, expected=expected, chooses=chooses, more=not chooses)
     settings = Settings(1, seed=seed, integrator=integrator, standard_error=True)
     made = NetPicture(by, settings, (0, 0, WIDTH, HEIGHT), layer, lambda: None)
     made.build(map_ or (lambda f, items: [f(item) for item in items]), lambda: enough, noise)

@@ -100,8 +100,9 @@ SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
 """Of each pixel that sees a beam, and of each that sees where one ends, in a picture of one sample. Of more
 samples, as many times as many, up to the last."""
 
-FEW_HIDDEN_POINTS = 8, 4
-"""Of either, where noise beside is far more than the net's."""
+HIDDEN_PART, FEW_HIDDEN = 4, 8
+"""Of the points of a laser's net, one in so many does where noise beside is far more than the net's; and so
+many at least."""
 
 FEW_POINTS, MANY_LASERS = 16, 12
 """Of the net of several lasers, whose light is their sum, at least; on surfaces, of so many, half of that."""
@@ -460,7 +461,7 @@ def _of_distance(scattering: SingleScattering, lights: np.ndarray, rays: FogRays
     return np.where(np.isinf(scene.reach[lights]), scattering.sine[lights], scene.reach[lights] / distance)
 
 
-def _growing(of_one: float, samples: int) -> int:
+def _growing(of_one: int, samples: int) -> int:
     """Points of a net, ``of_one`` for one sample: so many that errors are least that fall as 1 / samples."""
     return 1 << int(np.log2(of_one) + np.log2(samples) * 2 / 3)
 
@@ -482,6 +483,8 @@ def _of_lasers(
         surfaces.surfaces.triangles.light_set,
     )
     stage = surfaces.stage
+    # Rules for smooth functions would bisect what is cut up.
+    shifted = settings.integrator != "quadrature"
 
     def beside(stretches: Sequence[Stretch]) -> Callable[[Region, Map], np.ndarray]:
         def found(region: Region, map_: Map) -> np.ndarray:
@@ -490,12 +493,18 @@ def _of_lasers(
         return found
 
     if scattering is not None and any(stretch.laser.in_fog for stretch in lasers.stretches):
-        fog = LaserInFog(lasers, scattering, check=check)
+        fog = LaserInFog(lasers, scattering, check=check, shifted=shifted)
         points = _points_of(fog.stretches, FOG_POINTS, settings.samples)
-        by = OverNet(fog, points, beside(fog.stretches), expected=fog.unshadowed, fewest=FEW_HIDDEN_POINTS[0])
+        by = OverNet(
+            fog,
+            points,
+            beside(fog.stretches),
+            expected=fog.unshadowed,
+            fewest=max(points // HIDDEN_PART, FEW_HIDDEN),
+        )
         parts.append(Part("lasers in fog", LASER, fog, 1, by))
     if scattering is not None and any(stretch.laser.on_surfaces for stretch in lasers.stretches):
-        lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check)
+        lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check, shifted)
         elsewhere = None
         if settings.integrator == "control_variates" and lit.screen_dimensions == 2:
             found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
@@ -516,7 +525,7 @@ def _of_lasers(
             elsewhere,
             FOG_POINTS // SURFACE_POINTS,
             expected=lit.unshadowed,
-            fewest=FEW_HIDDEN_POINTS[1],
+            fewest=max(points // HIDDEN_PART, FEW_HIDDEN),
         )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
@@ -534,8 +543,8 @@ def _points_of(stretches: Sequence[Stretch], of_one: int, samples: int, fewest: 
     one sample. fewest : of many.
     """
     many = _many(stretches)
-    fewest = fewest if many >= MANY_LASERS else FEW_POINTS
-    return max(_growing(of_one / many**0.5, samples), fewest)
+    fewest = fewest if many > MANY_LASERS - 0.5 else FEW_POINTS
+    return max(_growing(1 << round(np.log2(of_one / many**0.5)), samples), fewest)
 
 
 def _many(stretches: Sequence[Stretch]) -> float:

@@ -106,7 +106,8 @@ def enough_points(
     """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
     of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
 
-    rough, bright : of `roughness_of_tiles`; None for the second if errors make no pattern.
+    rough, bright : of `roughness_of_tiles`; None for the second if more are
+    not worth it whatever pattern errors make.
     fewest : 0 if it is as many as usual. around : mean radiance of a channel of other fog that is shown, in
         which patterns are seen the less.
     """
@@ -141,7 +142,8 @@ def points_of_tiles(rough: np.ndarray, mean: int) -> np.ndarray:
 
 
 def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
-    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2.
+    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2: between those
+    that a `digital_shift` leaves side by side.
 
     That counts the edges of shadows in the net's square, by their length and height, as its error does.
     """
@@ -155,8 +157,11 @@ def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
         cell = cell * edge + (u * edge).astype(np.intp)
     grid = np.take_along_axis(f.sum(axis=0, dtype=np.float64), np.argsort(cell, axis=1), axis=1)
     grid = grid.reshape(places, *[edge] * min(dimensions, 2))
-    axes = range(1, grid.ndim)
-    return sum(np.square(np.diff(grid, axis=axis)).mean(axis=tuple(axes)) for axis in axes)
+    axes, found = range(1, grid.ndim), np.zeros(places)
+    for axis in axes:
+        lines = np.moveaxis(grid, axis, 1)
+        found += np.square(lines[:, 1::2] - lines[:, ::2]).mean(axis=tuple(axes))
+    return found
 
 
 def _shared(wanted: np.ndarray, mean: int, fewest: int) -> np.ndarray:

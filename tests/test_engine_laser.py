@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import scenes
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.integrate import dblquad, quad
 
-from engine_core import Camera, Laser, Material, Mesh, Scene, Settings, Volume, World, render
+from engine_core import Camera, Laser, Material, Mesh, Scene, Settings, Volume, World, parts, render
 from engine_core.geometry.frame import frame_of
 from engine_core.geometry.surfaces import Surfaces
 from engine_core.geometry.triangles import gather_triangles
@@ -33,7 +34,7 @@ from engine_core.transport.laser_maps import (
 )
 from engine_core.transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from engine_core.transport.laser_seen import LasersSeen
-from engine_core.transport.lasers import MOST, Lasers
+from engine_core.transport.lasers import MOST, Lasers, Stretch
 from engine_core.transport.light_samples import SceneLights
 from engine_core.transport.media import Media
 from engine_core.transport.shadows import Shadows
@@ -66,10 +67,12 @@ class Stage:
         self.reflection = Reflection(np.full((3, len(scene.materials)), reflectance), triangles.material)
 
     def in_fog(self, map: str = "point") -> LaserInFog:
-        return LaserInFog(self.lasers, self.scattering, map)
+        return LaserInFog(self.lasers, self.scattering, map, shifted=True)
 
     def on_surfaces(self) -> LaserOnSurfaces:
-        return LaserOnSurfaces(self.lasers, self.hits, self.reflection, self.shadows, self.media)
+        return LaserOnSurfaces(
+            self.lasers, self.hits, self.reflection, self.shadows, self.media, shifted=True
+        )
 
     def seen(self) -> LasersSeen:
         return LasersSeen(self.lasers, self.rays, self.hits, self.reflection, self.shadows, self.scattering)
@@ -135,6 +138,11 @@ class Line:
 
 
 MIDDLE = np.full((2, 1, 1), 0.5)
+
+STRETCH = Stretch(
+    np.zeros(3), 0.0, np.eye(3)[0], 1.0, 0.01, np.ones(3), np.zeros((1, 1)), np.zeros((1, 1)), [],
+    np.uint64(0), 0, Laser(1.0),
+)  # fmt: skip
 
 
 # -- maps ----------------------------------------------------------------------------------------------
@@ -436,8 +444,8 @@ def test_light_on_surfaces_is_the_integral_along_the_beam(seed):
         (0.2, 0.4, 0.09),
         # Of no use to have points there.
         (0.03, 0.4, 0.03),
-        (0.7, 0.0, 0.03),
-        (0.7, 0.4, 0.03),
+        (0.7, 0.0, 0.0225),
+        (0.7, 0.4, 0.02),
     ],
 )
 def test_what_metal_mirrors_of_a_beam_is_no_matter_of_luck(roughness, diffuse, most):
@@ -629,6 +637,60 @@ def test_a_laser_that_touches_a_wall_shines_off_it(off, reach):
     assert stretch.length == pytest.approx(reach * scale, rel=1e-3)
     # Where its light ends, a whole disk does.
     assert max(points.shape[1] for points in lasers.beams[0].ends) == 41
+
+
+def test_far_away_a_laser_that_touches_a_wall_shines_off_it():
+    """Where single precision resolves less."""
+    for x in (-1300.0, -1700.0):
+        wall = Mesh([[x, -9, -9], [x, 9, -9], [x, 0, 9]], [[0, 1, 2]])
+        laser = beam((x, 0.3, 0.7), (0, 0.3, 0.7), 1.0)
+        camera = Camera.look_at((0, 0, 0), (0, 3, 0), 16, 9)
+        fields = everywhere(1e-4)
+        stage = Stage(Scene(camera, (scenes.sphere((0.0, 3.0, 0.0), 1.0), wall), lights=(laser,), **fields))
+        assert stage.lasers.stretches[0].length > 100 * stage.frame.scale
+
+
+@pytest.mark.parametrize("behind", [0.0, 3e-5, 7e-5])
+def test_a_beam_off_a_wall_and_its_spot_are_both_there(behind):
+    walls = tuple(Mesh([[x, -9, -9], [x, 9, -9], [x, 0, 9]], [[0, 1, 2]]) for x in (-2, -1.8))
+    laser = beam((-2 - behind, 3.3, 1.7), (3, 3.3, 1.7), 1.0, in_fog=False, on_surfaces=False)
+    camera = Camera.look_at((-1.9, -4, 1.7), (-1.85, 3.3, 1.7), 32, 32)
+    scene = Scene(camera, walls, lights=(laser,), **everywhere(0.2))
+    stage = Stage(scene)
+    assert stage.lasers.stretches[0].length == pytest.approx(0.2 * stage.frame.scale, rel=1e-2)
+    with_spot = render(scene, Settings(samples=1, threads=1)).laser
+    beam_alone = render(
+        dataclasses.replace(scene, lights=(dataclasses.replace(laser, spot=False),)),
+        Settings(samples=1, threads=1),
+    ).laser
+    assert beam_alone.max() > 0 and with_spot.sum() > 1.05 * beam_alone.sum()
+
+
+def test_rules_for_smooth_functions_know_nothing_of_shifts():
+    """Three beams in one place are no more to integrate than one."""
+    laser, camera = beam((-3, 0.4, 0.5), (3, 0.4, 1.0), 1.0), Camera.look_at((0, -5, 2), (0, 0, 0), 24, 16)
+
+    def rays(lasers: int) -> int:
+        lights = (dataclasses.replace(laser, in_fog=False, beam=False, spot=False),) * lasers
+        scene = Scene(camera, (scenes.floor(9),), lights=lights, **everywhere(0.2))
+        settings = Settings(samples=16, threads=1, integrator="quadrature")
+        return render(scene, settings).statistics["shadow rays"]
+
+    assert rays(3) < 4 * rays(1)
+
+
+def test_more_lasers_have_fewer_points_each():
+    def points(powers: list[float], samples: int = 1, fewest: int = 16) -> int:
+        lasers = [Laser(power) for power in powers]
+        stretches = [dataclasses.replace(STRETCH, laser=laser) for laser in lasers]
+        return parts._points_of(stretches, 32, samples, fewest)
+
+    assert points([1.0]) == points([1.0, 1e-6]) == points([1.0, 0.1]) == 32
+    assert points([0.7] * 4) == points([0.1] * 64) == 16
+    assert points([0.1] * 12, fewest=8) == points([0.7] * 12, fewest=8) == 8
+    assert points([0.1] * 11, fewest=8) == 16
+    # As the power of 2/3 of the samples.
+    assert [points([1.0], samples) for samples in (1, 8, 64)] == [32, 128, 512]
 
 
 def test_beams_pass_what_is_transparent_in_part():

@@ -12,6 +12,7 @@ import pytest
 from engine_core import Settings, points_of_tiles
 from engine_core import net_picture as module
 from engine_core.image.film import LASER, Layer
+from engine_core.integration.sobol import digital_shift, sobol, unit_float
 from engine_core.net_picture import NetPicture
 from engine_core.parts import OverNet
 from engine_core.points_of_tiles import ERROR, MOST_TIMES, PATTERN, _roughness, _shared, enough_points
@@ -236,15 +237,25 @@ def test_noise_beside_hides_that_points_are_few(monkeypatch):
     assert is_of(32, noise=1e-9) and is_of(8, noise=1e9)
 
 
+@pytest.mark.parametrize("dimensions", [1, 2])
+def test_what_values_differ_by_is_the_same_of_a_shifted_net(dimensions):
+    net = np.stack([unit_float(sobol(np.arange(64, dtype=np.uint32), d)) for d in range(dimensions)])
+    found = []
+    for number in range(4):
+        slopes = digital_shift(net, number).sum(axis=0)
+        found.append(_roughness(np.broadcast_to(slopes, (3, 1, 64)), net[:, None])[0])
+    np.testing.assert_allclose(found, found[0], rtol=0.5)
+
+
 def test_points_go_where_values_differ():
     random = np.random.default_rng(3)
     net = (np.stack(np.divmod(np.arange(64), 8)) + random.random((2, 64)))[:, None] / 8
     net = np.repeat(net, 2, axis=1)
     net[:, 1] = net[:, 1, random.permutation(64)]
-    # An edge along u[0] = 1/2 of height 2 in the sum of channels, and nothing.
+    # An edge along u[0] = 3/8 of height 2 in the sum of channels, in one of four pairs, and nothing.
     f = np.zeros((3, 2, 64))
-    f[:2, 1] = net[0, 1] < 0.5
-    np.testing.assert_allclose(_roughness(f, net), [0, 4 / 7])
+    f[:2, 1] = net[0, 1] < 0.375
+    np.testing.assert_allclose(_roughness(f, net), [0, 4 / 4])
     wanted = random.random((30, 40)) ** 2
     shared = _shared(wanted, 64, 8)
     assert set(np.unique(shared)) <= {16, 32, 64, 128, 256}

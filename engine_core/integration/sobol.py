@@ -111,14 +111,17 @@ def owen_scramble(x: np.ndarray, seed: int | np.ndarray, bits: int = BITS) -> np
 
 def digital_shift(u: np.ndarray, number: int | np.ndarray) -> np.ndarray:
     """Points u (D, ...) in (0, 1) of a net, as another net has them: which one, ``number`` (N,) says for each
-    of u (D, N), or one for all. 0 changes nothing.
+    of u (D, N), or one for all. 0 is the net itself.
     """
-    if np.ndim(number) == 0 and number == 0:
-        return u
-    numbers = np.arange(int(np.max(number, initial=0)) + 1)
-    digits = hash_combine(np.arange(len(u))[:, None], numbers) & SHIFTED
-    digits[:, 0] = 0
-    digits = digits.take(number, axis=1) if np.ndim(number) else digits[:, number]
+    if np.ndim(number) == 0:
+        if number == 0:
+            return u
+        digits = hash_combine(np.arange(len(u)), number)
+    else:
+        digits = hash_combine(np.arange(len(u))[:, None], np.arange(int(number.max(initial=0)) + 1))
+        digits[:, 0] = 0
+        digits = digits.take(number, axis=1)
+    digits &= SHIFTED
     changed = (u * u.dtype.type(2.0**32)).astype(np.uint32)
     changed ^= digits.reshape(len(u), *[1] * (u.ndim - np.ndim(number) - 1), *np.shape(number))
     return unit_float(changed, u.dtype)

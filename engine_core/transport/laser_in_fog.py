@@ -7,7 +7,7 @@ over the camera ray t and the beam v, r apart; s scattering coefficients, p phas
 and V visibility between the two. As a staged function of primary space:
 
     first : (screen 2, lens 2 if it has a size) -> camera rays and their fog
-    rest  : (beam 1, camera ray 1) -> radiance, of all lasers at the same point, summed (thesis eq. 4.1)
+    rest  : (beam 1, camera ray 1) -> radiance, of all lasers, summed (thesis eq. 4.1)
 """
 
 from __future__ import annotations
@@ -170,12 +170,15 @@ class LaserInFog(Scattered):
         scattering: SingleScattering,
         map: str = "point",
         check: Callable[[], None] = lambda: None,
+        shifted: bool = False,
     ) -> None:
-        """map : along the camera ray, of `MAPS`. check : called before every batch; may raise, to give up."""
+        """map : along the camera ray, of `MAPS`. check : called before every batch; may raise, to give up.
+        shifted : as of `ScatteredLight`, of stretches of beams.
+        """
         super().__init__(scattering, np.zeros(0, np.intp), check)
         self.media = scattering.media
         self.stretches = [s for s in lasers.stretches if s.laser.in_fog]
-        self._map = MAPS[map]
+        self._map, self._shifted = MAPS[map], shifted
 
     def rest(
         self, rays: FogRays, lane: np.ndarray | None, u: np.ndarray
@@ -194,7 +197,8 @@ class LaserInFog(Scattered):
             p = every.passage(stretch)
             if not isinstance(rows, slice):
                 p = p.take(rows)
-            self._add(out, which, segments, stretch, p.columns(), digital_shift(u, number))
+            own = digital_shift(u, number) if self._shifted else u
+            self._add(out, which, segments, stretch, p.columns(), own)
         return None, self._bounded(out.reshape(3, -1))
 
     def unshadowed(self, rays: FogRays, count: int) -> np.ndarray:

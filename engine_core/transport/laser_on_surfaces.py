@@ -3,11 +3,11 @@
 
     L = integral dv  power T_beam(v) s p(cos_v) T(r) V f cos / r^2
 
-over the beam v, r from the surface point; f its BSDF. The map along the beam is by 1/r^2 about the point. As
-a staged function of primary space:
+over the beam v, r from the surface point; f its BSDF. The map along the beam is by 1/r^2 about the point, and
+by what it mirrors. As a staged function of primary space:
 
     first : (screen 2, lens 2 if it has a size) -> camera hits
-    rest  : (beam 1) -> radiance reflected at those hits, of all lasers at the same point, summed
+    rest  : (beam 1) -> radiance reflected at those hits, of all lasers, summed
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ MIRRORED, WIDE = 0.5, 0.5
 half of a net are one, too. But a lobe that is as wide as that, in radians, is no matter of luck.
 """
 
+GRAZING, STEPS = 0.02, 2
+"""Cosines of lobes at least; and steps to the middle of what a lobe shows of a beam."""
+
 LOOKS = 2
 """Points of a stretch of a beam that tell what it brings, about."""
 
@@ -80,14 +83,15 @@ class Towards:
 
 @dataclass(frozen=True, eq=False)
 class Mirrored:
-    """Where M points show a beam of which they mirror some.
+    """Lobes in which M points show beams that they mirror: the highest of each, as GGX.
 
-    direction : (3, M) of the middle of the highest lobe, unit. width : (M,) of that, in radians.
+    normal, viewer : (3, M) unit, of the lobe and towards the camera. alpha : (M,) width of its slopes.
     peak, diffuse : (M,) BRDF in its middle, and of all lobes that are smooth.
     """
 
-    direction: np.ndarray
-    width: np.ndarray
+    normal: np.ndarray
+    viewer: np.ndarray
+    alpha: np.ndarray
     peak: np.ndarray
     diffuse: np.ndarray
 
@@ -97,31 +101,47 @@ class Mirrored:
         seen = Highlights.of(hits.slots, len(hits.points))
         if seen is None:
             return None
-        direction, width, peak = np.zeros((3, len(seen.diffuse))), np.ones(len(seen.diffuse)), 0.0
+        found = Mirrored(
+            *np.zeros((2, 3, len(seen.diffuse))), *np.zeros((2, len(seen.diffuse))), seen.diffuse
+        )
         for lobe in seen.glossy:
+            cos = np.maximum(lobe.cos_viewer, GRAZING)
+            peak = lobe.strength / (4 * np.pi * np.square(lobe.alpha.astype(np.float64) * cos))
             # A mirror shows no light that has no size.
-            strength = np.where(lobe.alpha > MIN_ALPHA, lobe.strength, 0)
-            own = np.nan_to_num(strength / (4 * np.pi * np.square(lobe.alpha.astype(np.float64))))
-            higher = own > peak
-            direction = np.where(higher, 2 * lobe.cos_viewer * lobe.normal - lobe.towards_viewer, direction)
-            # Half vectors turn by half of the angle.
-            width = np.where(higher, 2 * lobe.alpha, width)
-            peak = np.maximum(peak, own)
-        return Mirrored(direction, width, peak, seen.diffuse)
+            higher = np.isfinite(peak) & (peak > found.peak) & (lobe.alpha > MIN_ALPHA)
+            own = lobe.normal, lobe.towards_viewer, lobe.alpha, peak
+            for a, b in zip((found.normal, found.viewer, found.alpha, found.peak), own, strict=True):
+                np.copyto(a, b, where=higher)
+        return found
 
     def take(self, rows: np.ndarray) -> Mirrored:
-        return Mirrored(*(x[..., rows] for x in (self.direction, self.width, self.peak, self.diffuse)))
+        return Mirrored(*(getattr(self, name)[..., rows] for name in self.__dataclass_fields__))
 
     def lobe(self, across: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `half_angles_by_lobe` wants it, of angles from unit vectors ``across`` (3, M) to ``axis``."""
-        along, beside = dot(self.direction, axis), dot(self.direction, across)
-        off = np.maximum(1 - along * along - beside * beside, 0)
-        square = self.width * self.width
+        """As `half_angles_by_lobe` wants it, of angles from unit vectors ``across`` (3, M) to ``axis``.
+
+        Along the beam the slope of half vectors is taken to be linear in the angle about where it is least,
+        found from where the mirrored ray is nearest: a lobe that is seen at a grazing angle is narrower
+        sideways.
+        """
+        direction = 2 * dot(self.normal, self.viewer) * self.normal - self.viewer
+        angle = np.arctan2(dot(direction, axis), dot(direction, across))
+        for _ in range(STEPS):
+            sin, cos = np.sin(angle), np.cos(angle)
+            half, turned = cos * across + sin * axis + self.viewer, cos * axis - sin * across
+            along = np.maximum(dot(half, self.normal), GRAZING)
+            slope = half / along - self.normal
+            change = (turned - dot(turned, self.normal) * (self.normal + slope)) / along
+            square = np.maximum(dot(change, change), np.finfo(np.float32).tiny)
+            step = dot(slope, change) / square
+            angle = angle - step
+            least = np.maximum(dot(slope, slope) - step * step * square, 0)
+        width = self.alpha * self.alpha
         # What a beam that passes the lobe's middle at some distance gets of it.
-        peak = self.peak / np.square(1 + off / square)
-        square = square + off
-        bright = (peak > self.diffuse) & (square < WIDE**2)
-        return np.arctan2(along, beside), np.sqrt(square), MIRRORED * bright
+        peak = self.peak / np.square(1 + least / np.maximum(width, np.finfo(np.float32).tiny))
+        width = np.sqrt((width + least) / square)
+        bright = (peak > self.diffuse) & (width < WIDE)
+        return angle, np.where(bright, width, 1), MIRRORED * bright
 
 
 EVERYTHING = Linking()
@@ -194,11 +214,12 @@ class LaserOnSurfaces:
         shadows: Shadows,
         media: Media,
         check: Callable[[], None] = lambda: None,
+        shifted: bool = False,
     ) -> None:
-        """check : called before every batch; may raise, to give up."""
+        """check : called before every batch; may raise, to give up. shifted : as of `LaserInFog`."""
         self.stretches = [s for s in lasers.stretches if s.laser.on_surfaces]
         self._stage, self._shadows, self._media, self._check = stage, shadows, media, check
-        self.reflection = reflection
+        self.reflection, self._shifted = reflection, shifted
         self._counting = Lock()
         self.counts = Counter(dict.fromkeys((CAMERA, SHADOW, CROSSING, NON_FINITE), 0))
         self.screen_dimensions = stage.dimensions
@@ -232,7 +253,7 @@ class LaserOnSurfaces:
         mirrored = None if mirrored is None else mirrored.take(at)
         every = np.repeat(at, split) if split > 1 else at
         for number, stretch in enumerate(self.stretches):
-            own = digital_shift(u[None], number)[0]
+            own = digital_shift(u[None], number)[0] if self._shifted else u
             value, v, to_beam = reflected(hits, at, every, stretch, self.reflection, own, mirrored)
             lit = np.flatnonzero(self.finite(value).any(axis=0))
             if stretch.blockers != NONE_CAST:
@@ -363,7 +384,9 @@ def reflected(
     low, dw = half_angles(foot, last, gap)
     w, each = low[:, None] + u * dw[:, None], dw[:, None]
     if mirrored is not None:
-        w, each = half_angles_by_lobe(low, dw, mirrored.lobe(apart / gap, axis), u)
+        lobe = mirrored.lobe(apart / gap, axis)
+        if lobe[2].any():
+            w, each = half_angles_by_lobe(low, dw, lobe, u)
     x, r, weight = at_half_angle(w, each, gap[:, None])
     v = np.clip(x - foot[:, None], 0, stretch.length).ravel()
     to_beam = np.empty((3, *x.shape), np.float32)

@@ -31,7 +31,7 @@ from .direct_light import CAMERA, CROSSING, NON_FINITE, SHADOW, _bound, _inset
 from .fog_rays import FogRays
 from .laser_in_fog import RaySegments
 from .laser_on_surfaces import Reflection, Towards
-from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered
+from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered, unblocked
 from .shadows import Shadows
 from .single_scattering import SingleScattering
 
@@ -116,8 +116,10 @@ class LasersSeen:
         back = (-axis * v).astype(np.float32)
         if beam.blockers != NONE_CAST:
             cosine = dot(take(points.normal, at), take(direction, lit))
+            # A laser may touch a wall.
+            towards = Towards(at, back * np.maximum(1 - unblocked(beam.origin) / v, 0.5).astype(np.float32))
             arrive, part, crossings = self._shadows.arriving(
-                points, Towards(at, back), cosine, beam.blockers, short=True
+                points, towards, cosine, beam.blockers, short=True
             )
             self._count(SHADOW, len(at))
             self._count(CROSSING, crossings)

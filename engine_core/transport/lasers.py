@@ -33,7 +33,8 @@ THINNEST = 1e-5
 """Radius of a beam in the frame's units at least."""
 
 BEFORE = 1e-5
-"""Of a beam in the frame's units, which nothing blocks: a laser that touches a wall shines off it."""
+"""Of a beam in the frame's units, which nothing blocks: a laser that touches a wall shines off it. Or what
+single precision resolves there, if that is more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,9 +209,15 @@ def _met(
     shadows: Shadows, start: np.ndarray, direction: np.ndarray, length: float, blockers: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `Shadows.met`, of a ray of a beam from ``start`` (3,)."""
-    row, along = (start + BEFORE * direction).astype(np.float32)[None], direction.astype(np.float32)[None]
-    distances, part = shadows.met(row, along, length - BEFORE, blockers)
-    return distances + BEFORE, part
+    before = unblocked(start)
+    row, along = (start + before * direction).astype(np.float32)[None], direction.astype(np.float32)[None]
+    distances, part = shadows.met(row, along, length - before, blockers)
+    return distances + before, part
+
+
+def unblocked(start: np.ndarray) -> float:
+    """How much of a beam from ``start`` (3,) nothing blocks, see `BEFORE`."""
+    return max(BEFORE, 4 * float(np.finfo(np.float32).eps * np.abs(start).max()))
 
 
 def scattered(components: list[tuple[np.ndarray, float]], less: np.ndarray, more: np.ndarray) -> np.ndarray:

@@ -99,7 +99,7 @@ class ScatteredLight(Scattered):
         errors of those that are alike even out. A polynomial would not follow what is cut up so.
         """
         super().__init__(scattering, lights, check)
-        self._choice, self._shifted = choice, shifted
+        self._choice, self._shifted = choice, shifted and len(lights) > 1
         # A share that went with the place would make a point follow another technique in the next pixel.
         self._by_phase = np.zeros(len(scattering.lights), np.float32) if by_phase is None else by_phase
         self.guide: Guide | None = None

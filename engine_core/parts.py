@@ -101,8 +101,8 @@ SEEN_POINTS, MOST_SEEN_POINTS = (64, 2048), 4096
 samples, as many times as many, up to the last."""
 
 HIDDEN_PART, FEW_HIDDEN = 4, 8
-"""Of the points of a laser's net, one in so many does where noise beside is far more than the net's; and so
-many at least."""
+"""Of the points of a laser's net in fog, one in so many does where noise beside is far more than the net's;
+and so many at least."""
 
 FEW_POINTS, MANY_LASERS = 16, 12
 """Of the net of several lasers, whose light is their sum, at least; on surfaces, of so many, half of that."""
@@ -518,14 +518,9 @@ def _of_lasers(
             return near(region, map_) | lit.creases(region, map_)
 
         points = _points_of(lit.stretches, SURFACE_POINTS, settings.samples, FEW_POINTS // 2)
+        # What is mirrored may be too small for pilots: as many points as said.
         by = OverNet(
-            lit,
-            points,
-            and_creases,
-            elsewhere,
-            FOG_POINTS // SURFACE_POINTS,
-            expected=lit.unshadowed,
-            fewest=max(points // HIDDEN_PART, FEW_HIDDEN),
+            lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
         )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)

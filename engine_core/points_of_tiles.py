@@ -142,8 +142,8 @@ def points_of_tiles(rough: np.ndarray, mean: int) -> np.ndarray:
 
 
 def _roughness(f: np.ndarray, net: np.ndarray) -> np.ndarray:
-    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2: between those
-    that a `digital_shift` leaves side by side.
+    """(B,) mean square of what f (3, B, N) differs by between neighbours of nets (D, B, N), D <= 2: between
+    those that a `digital_shift` leaves side by side.
 
     That counts the edges of shadows in the net's square, by their length and height, as its error does.
     """

@@ -509,8 +509,14 @@ def _of_lasers(
         if settings.integrator == "control_variates" and lit.screen_dimensions == 2:
             found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
             if found:
-                own = [AroundLight(lit, b.centre) for b in found]
-                ends = AroundLights(found, own, [[] for _ in found])
+                own, others = [], []
+                for block in found:
+                    # Of all others, what they bring there is smooth.
+                    here = np.append(block.beside, block.light)
+                    far = np.setdiff1d(lit.ends.numbers, here)
+                    own.append(AroundLight(lit.of_some(here), block.centre))
+                    others.append([(lit.of_some(far), len(far))] if far.size else [])
+                ends = AroundLights(found, own, others)
                 parts.append(Part("surfaces where lasers end", LASER, own[0], 1, ends))
         near = beside(lit.stretches)
 

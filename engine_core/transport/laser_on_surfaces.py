@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from threading import Lock
 
@@ -223,6 +224,13 @@ class LaserOnSurfaces:
         self._counting = Lock()
         self.counts = Counter(dict.fromkeys((CAMERA, SHADOW, CROSSING, NON_FINITE), 0))
         self.screen_dimensions = stage.dimensions
+
+    def of_some(self, numbers: np.ndarray) -> LaserOnSurfaces:
+        """The same of some of the stretches alone, with counts of its own."""
+        some = copy(self)
+        some.stretches = [self.stretches[number] for number in numbers]
+        some._counting, some.counts = Lock(), Counter(dict.fromkeys(self.counts, 0))
+        return some
 
     def first(self, pixels: Pixels, u: np.ndarray) -> FirstStage:
         """Hits of camera rays through points (2 or 4, B, S) of pixels' unit squares, and of the lens."""

@@ -510,10 +510,11 @@ def _of_lasers(
             found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
             if found:
                 own, others = [], []
+                beam = np.unique([id(stretch.laser) for stretch in lit.stretches], return_inverse=True)[1]
                 for block in found:
-                    # Of all others, what they bring there is smooth.
-                    here = np.append(block.beside, block.light)
-                    far = np.setdiff1d(lit.ends.numbers, here)
+                    # Where a stretch ends, the next of its beam begins. What other beams bring is smooth.
+                    near = np.isin(beam, beam[np.append(block.beside, block.light)])
+                    here, far = np.flatnonzero(near), np.flatnonzero(~near)
                     own.append(AroundLight(lit.of_some(here), block.centre))
                     others.append([(lit.of_some(far), len(far))] if far.size else [])
                 ends = AroundLights(found, own, others)

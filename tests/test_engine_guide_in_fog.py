@@ -154,12 +154,13 @@ def test_a_guide_makes_the_error_less(monkeypatch):
     made = room()
 
     def error():
-        films = np.array([render(made, Settings(4, seed=s)).volume for s in range(6)], np.float64)
-        return films.std(axis=0, ddof=1).mean()
+        films = np.array([render(made, Settings(4, seed=s)).volume for s in range(24)], np.float64)
+        return np.sqrt(films.var(axis=0, ddof=1).mean())
 
     guided = error()
     monkeypatch.setattr(module, "WORTH", (1e9, 2e9))
-    assert guided < 0.85 * error()
+    # .78, and .70 to .86 of eight seeds each; six were too few to tell.
+    assert guided < 0.9 * error()
 
 
 def test_threads_change_nothing_and_a_cancelled_picture_ends():

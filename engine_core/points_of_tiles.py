@@ -106,8 +106,8 @@ def enough_points(
     """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
     of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
 
-    rough, bright : of `roughness_of_tiles`; None for the second if more are
-    not worth it whatever pattern errors make.
+    rough, bright : of `roughness_of_tiles`; None for the second if more are not worth it whatever pattern
+        errors make.
     fewest : 0 if it is as many as usual. around : mean radiance of a channel of other fog that is shown, in
         which patterns are seen the less.
     """

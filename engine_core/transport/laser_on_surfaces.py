@@ -379,9 +379,8 @@ def reflected(
 
     The map is by 1/r^2, and in part by where they mirror it.
 
-    every : (L * S,) the points again, S times each. mirrored : of L points; None
-    where there is none. Returns (3, L * S) the integrand, but for what is
-    between; v (L * S,) of the stretch; and vectors (3, L * S) float32 there.
+    every : (L * S,) the points again, S times each. mirrored : of L points; None for none. Returns (3, L * S)
+    the integrand, but for what is between; v (L * S,) of the stretch; and vectors (3, L * S) float32 there.
     """
     axis = stretch.direction[:, None]
     start = stretch.start[:, None] - take(hits.points.position, at).astype(np.float64)

@@ -507,18 +507,19 @@ def _of_lasers(
         lit = LaserOnSurfaces(lasers, stage, reflection, shadows, surfaces.media, check, shifted)
         elsewhere = None
         if settings.integrator == "control_variates" and lit.screen_dimensions == 2:
-            found, elsewhere = blocks(stage.rays, lit.ends, lit.ends.numbers, scene.camera.region)
+            ends = lit.ends
+            found, elsewhere = blocks(stage.rays, ends, ends.numbers, scene.camera.region)
             if found:
                 own, others = [], []
                 beam = np.unique([id(stretch.laser) for stretch in lit.stretches], return_inverse=True)[1]
                 for block in found:
                     # Where a stretch ends, the next of its beam begins. What other beams bring is smooth.
-                    near = np.isin(beam, beam[np.append(block.beside, block.light)])
+                    near = np.isin(beam, beam[ends.stretch[np.append(block.beside, block.light)]])
                     here, far = np.flatnonzero(near), np.flatnonzero(~near)
                     own.append(AroundLight(lit.of_some(here), block.centre))
                     others.append([(lit.of_some(far), len(far))] if far.size else [])
-                ends = AroundLights(found, own, others)
-                parts.append(Part("surfaces where lasers end", LASER, own[0], 1, ends))
+                by = AroundLights(found, own, others)
+                parts.append(Part("surfaces where lasers end", LASER, own[0], 1, by))
         near = beside(lit.stretches)
 
         def and_creases(region: Region, map_: Map) -> np.ndarray:

@@ -153,6 +153,25 @@ def test_polar_points_about_a_beams_end_are_unbiased_and_calm():
     assert np.std(polar) < 0.5 * np.std(means(integrand, 1 << 9))
 
 
+def test_a_wall_that_a_laser_touches_is_calm_about_it():
+    """And a laser that hangs before it has no samples of its own there."""
+    wall = Mesh([[-9, 2, -9], [9, 2, -9], [9, 2, 9], [-9, 2, 9]], [[0, 1, 2], [0, 2, 3]])
+    camera = Camera.look_at((0, -4, 1), (0, 2, 0.5), 32, 24, 0.7)
+
+    def pictures(start: float, seeds: int) -> tuple[np.ndarray, str]:
+        laser = beam((0.23, start, 0.41), (1.5, -9, 0.6), 3.0, in_fog=False, beam=False, spot=False)
+        scene = Scene(camera, (wall,), lights=(laser,), **everywhere(0.2))
+        films = [render(scene, Settings(samples=1, seed=seed, threads=1)) for seed in range(seeds)]
+        told = films[0].statistics.get("surfaces where lasers end", "")
+        return np.array([film.combined[..., 0] for film in films], np.float64), told
+
+    touching, told = pictures(2.0, 8)
+    assert told == "sampled around 1"
+    brightest = np.unravel_index(touching.mean(axis=0).argmax(), touching.shape[1:])
+    assert np.std(touching[:, *brightest]) < 0.04 * touching.mean(axis=0)[brightest]
+    assert pictures(1.0, 1)[1] == ""
+
+
 def test_rules_for_smooth_functions_know_nothing_of_shifts():
     """Three beams in one place are no more to integrate than one."""
     laser, camera = beam((-3, 0.4, 0.5), (3, 0.4, 1.0), 1.0), Camera.look_at((0, -5, 2), (0, 0, 0), 24, 16)

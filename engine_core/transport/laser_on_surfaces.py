@@ -13,7 +13,7 @@ by what it mirrors. As a staged function of primary space:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from threading import Lock
@@ -56,21 +56,28 @@ LOOKS = 2
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Where stretches of beams end, as `around_light.blocks` wants them. What surfaces there get is
-    as bright as 1/distance.
+    """Where stretches of beams end, or begin at a laser, as `around_light.blocks` wants them. What surfaces
+    there get is as bright as 1/distance.
 
-    centre : (3, L) in the frame. reach, numbers : (L,), of all.
+    centre : (3, L) in the frame. reach : (L,) how far a surface may be. stretch : (L,) numbers of them.
     """
 
     centre: np.ndarray
+    reach: np.ndarray
+    stretch: np.ndarray
+
+    @staticmethod
+    def of(stretches: Sequence[Stretch]) -> Ends:
+        end = [s.start + s.length * s.direction for s in stretches]
+        behind = np.array([s.behind for s in stretches])
+        near = np.flatnonzero(np.isfinite(behind))
+        centre = np.stack(end + [stretches[k].start for k in near], axis=1)
+        reach = np.concatenate([np.zeros(len(end)), behind[near]])
+        return Ends(centre, reach, np.concatenate([np.arange(len(end)), near]))
 
     @property
     def numbers(self) -> np.ndarray:
         return np.arange(self.centre.shape[1])
-
-    @property
-    def reach(self) -> np.ndarray:
-        return np.zeros(self.centre.shape[1])
 
 
 @dataclass(eq=False)
@@ -242,7 +249,7 @@ class LaserOnSurfaces:
 
     @property
     def ends(self) -> Ends:
-        return Ends(np.stack([s.start + s.length * s.direction for s in self.stretches], axis=1))
+        return Ends.of(self.stretches)
 
     def rest(
         self, hits: CameraHits, lane: np.ndarray | None, u: np.ndarray

@@ -46,6 +46,7 @@ class Stretch:
     power : (3,) flux that enters it, but for fog. depth : (C, 1) optical depth of the fog before it.
     extinction : (C, 1). scattering : of each phase function, (3, 1) and g.
     inside : bits of the bodies that it lies in, as in `RayMedia`. blockers : what casts shadows in the light.
+    behind : distance from the laser back to a surface, of the stretch that begins there; inf of others.
     """
 
     start: np.ndarray
@@ -60,6 +61,7 @@ class Stretch:
     inside: np.uint64
     blockers: int
     laser: Laser
+    behind: float = np.inf
 
     def transmittance(self, v: np.ndarray) -> np.ndarray:
         """(C, N) of the beam's fog up to v (N,) from the stretch's beginning."""
@@ -175,6 +177,7 @@ def _traced(
                         fog.inside[k],
                         blockers,
                         laser,
+                        np.inf if start > 0 else _behind(shadows, origin, direction),
                     )
                 )
     return beam, stretches
@@ -213,6 +216,14 @@ def _met(
     row, along = (start + before * direction).astype(np.float32)[None], direction.astype(np.float32)[None]
     distances, part = shadows.met(row, along, length - before, blockers)
     return distances + before, part
+
+
+def _behind(shadows: Shadows, origin: np.ndarray, direction: np.ndarray) -> float:
+    """How far behind a laser a surface is; 0 of one that it touches."""
+    before = unblocked(origin)
+    row, along = (origin + before * direction).astype(np.float32)[None], -direction.astype(np.float32)[None]
+    distances, _ = shadows.met(row, along, np.inf)
+    return max(float(distances[0]) - before, 0.0) if distances.size else np.inf
 
 
 def unblocked(start: np.ndarray) -> float:

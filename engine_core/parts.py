@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from typing import Any
@@ -17,9 +17,20 @@ from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
 from .integration.integrand import StagedIntegrand
 from .integration.mapping import Map
+from .integration.standard_error import box_sums
 from .scene import Scene
 from .settings import Settings
-from .transport.around_light import AroundLight, Block, Wedge, blocks, lit_angles, peaks, tamed, wedges
+from .transport.around_light import (
+    HALF_WIDTH,
+    AroundLight,
+    Block,
+    Wedge,
+    blocks,
+    lit_angles,
+    peaks,
+    tamed,
+    wedges,
+)
 from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.fog_rays import FogRays
@@ -29,6 +40,7 @@ from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
+from .transport.light_choice_in_fog import FogChoice
 from .transport.light_clusters import CELL
 from .transport.line_integrals import BISECTIONS
 from .transport.ray_rule import (
@@ -43,6 +55,7 @@ from .transport.scattered_light import ScatteredLight
 from .transport.shadows import Shadows
 from .transport.silhouettes import Silhouettes
 from .transport.single_scattering import EVERY, SingleScattering
+from .transport.through_lens import Lamp, ThroughLens, beside_images
 
 Region = tuple[int, int, int, int]
 
@@ -73,6 +86,9 @@ are in a direction and not on a light, of which they know where it is."""
 SMALL, MOST_SMALL = 0.05, 128
 """Radius of a light over its distance of rays, of half of these at most, and of suns the sine of half their
 angle, so that whole rays see it as a few points; wider ones have nets. And up to how many lights."""
+
+MOST_BLUR = 16
+"""Pixels by which a narrow beam is taken to be wider through a lens, at most."""
 
 RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""
@@ -180,7 +196,7 @@ class OverNet:
 
 @dataclass(frozen=True, eq=False)
 class AroundLights:
-    """Pixels about lights that the camera sees, in fog, or about the ends of lasers.
+    """Pixels about lights that the camera sees, in fog, or about where lasers end, or begin at a surface.
 
     blocks : of each light. own : for each block the integrand of the light itself. others : and of all
         others, with their number, those whose images are not far by themselves.
@@ -197,19 +213,21 @@ class Part:
 
     name, shows : for people; and which pass it belongs to (`image.film.VOLUME` or `LASER`).
     plain : a sample is one point of all its dimensions. split : of the rest for each camera ray.
-    by : what serves it better.
+    by : what serves it better; None for nothing.
     """
 
     name: str
     shows: str
     plain: StagedIntegrand
     split: int
-    by: OverScreen | OverNet | Seen | AroundLights
+    by: OverScreen | OverNet | Seen | AroundLights | None
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
         integrands = [self.plain]
-        if isinstance(self.by, OverScreen):
+        if isinstance(self.by, OverNet):
+            integrands = [self.by.integrand]
+        elif isinstance(self.by, OverScreen):
             integrands += [self.by.whole, self.by.alone]
         elif isinstance(self.by, AroundLights):
             integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
@@ -248,6 +266,8 @@ def parts_of(
     if lasers is not None:
         surfaces.messages += lasers.messages
         parts += _of_lasers(lasers, scene, surfaces, scattering, shadows, outlines, settings, check)
+    if surfaces.screen_dimensions > 2:
+        parts = [_with_lens(part) for part in parts]
     return parts
 
 
@@ -258,7 +278,8 @@ def _of_fog(
     settings: Settings,
     check: Callable[[], None],
 ) -> list[Part]:
-    by_net = settings.integrator in ("control_variates", "cv_only") and scattering.screen_dimensions == 2
+    rays, lens = scattering.rays, scattering.screen_dimensions > 2
+    by_net = settings.integrator == "control_variates" or settings.integrator == "cv_only" and not lens
     parts, rest, elsewhere, calm = [], scattering.sized, None, None
     bare, small = scattering.sizeless, scattering.small
     if len(bare) > MOST_BARE:
@@ -305,35 +326,73 @@ def _of_fog(
     def and_narrow(of_spots: dict[int, Wedge]) -> Callable[[Region, Map], np.ndarray]:
         if not (by_net and of_spots):
             return and_beams(None)
-        return and_beams(tamed(scattering.rays, scattering.lights, of_spots, [], region).beams)
+        narrow = tamed(scattering.rays, scattering.lights, of_spots, [], region).beams
+        if lens:
+            centre = scattering.lights.centre[:, list(of_spots)]
+            blur = rays.blur(rays.image_of(centre)[1]) * rays.scale(centre)
+            wider = int(np.ceil(min(np.nan_to_num(blur).max(), MOST_BLUR)))
+            narrow = box_sums(narrow[None].astype(np.float64), wider)[0] > 0.5
+        return and_beams(narrow)
 
-    def by_points(lights: np.ndarray) -> OverNet:
-        choice = None
+    def and_blurred(lights: np.ndarray, near: Sequence[Lamp]) -> Callable[[Region, Map], np.ndarray]:
+        """And where rays through a lens may meet lights (L,) that have none of their own."""
+        narrow, others = and_narrow(beams_of(lights)), np.setdiff1d(lights, [lamp.number for lamp in near])
+        others = others[np.isfinite(scattering.lights.reach[others])]
+        places = scattering.lights.centre[:, others], scattering.lights.reach[others]
+        return lambda region, map_: narrow(region, map_) | beside_images(rays, *places, region)
+
+    def points_of(lights: np.ndarray, choice: FogChoice | None = None, shifted: bool = False):
+        return ScatteredLight(scattering, lights, choice, check, by_phase, shifted)
+
+    def near_of(lights: np.ndarray, of: Callable[[np.ndarray], StagedIntegrand]) -> list[Lamp]:
+        """Those of lights (L,) with rays of their own, through a lens. of : light of some of them."""
+        near = _near_rays_of_lens(scattering, lights, region) if by_net and lens else lights[:0]
+        return [Lamp(int(k), scattering.lights.centre[:, k], of(np.array([k]))) for k in near]
+
+    def by_points_of_rays(lights: np.ndarray) -> tuple[OverNet, ScatteredLight]:
+        """Of lights without size, or small ones, through a lens; and what samples them plainly."""
+        near = near_of(lights, partial(PointsOfRay, scattering, check=check))
+        integrand = ThroughLens(PointsOfRay(scattering, lights, check), near, rays)
+        plain, points = (
+            ScatteredLight(scattering, lights, None, check),
+            _growing(LIGHT_POINTS, settings.samples),
+        )
+        told, outlines = integrand.told_by(plain.unshadowed), and_blurred(lights, near)
+        return OverNet(integrand, points, outlines, expected=told, more=True), plain
+
+    def by_points(lights: np.ndarray) -> tuple[OverNet, ScatteredLight]:
+        """And what samples them plainly."""
+        choice, learn = None, None
         if not (by_net and _few_at_once(scattering, lights, region)):
             choice = scattering.choice_of_cells(lights, *cells(region), check)
-        learn, points = None, _growing(LIGHT_POINTS, settings.samples)
-        light = ScatteredLight(scattering, lights, choice, check, by_phase, shifted=True)
+        light, points = points_of(lights, choice, shifted=True), _growing(LIGHT_POINTS, settings.samples)
+        integrand, expected, near = light, light.unshadowed, []
+        if by_net and lens:
+            near = near_of(lights, points_of) if choice is None else []
+            integrand = ThroughLens(light, near, rays)
+            expected = integrand.told_by(light.unshadowed)
         if choice is None and by_net and len(lights) <= FOLLOWED:
-            each = [ScatteredLight(scattering, np.array([one]), None, check, by_phase) for one in lights]
+            each = [points_of(np.array([one])) for one in lights]
 
             def learn(map_: Map) -> None:
                 pixels = (region[2] - region[0]) * (region[3] - region[1])
                 work = int(LEARNING * pixels * points)
-                light.guide = Guide.of(each, partial(_pixels, region), region, settings.seed, work, map_)
+                pilots = [ThroughLens(one) for one in each] if lens else each
+                light.guide = Guide.of(pilots, partial(_pixels, region), region, settings.seed, work, map_)
                 for one in each:
                     light.counts.update(one.counts)
 
         return OverNet(
-            light,
+            integrand,
             points,
-            and_narrow(beams_of(lights)),
+            and_blurred(lights, near) if by_net and lens else and_narrow(beams_of(lights)),
             elsewhere,
             learn=learn,
-            expected=light.unshadowed,
+            expected=expected,
             chooses=choice is not None,
             fewest=FEW_LIGHT_POINTS if choice is None else FEW_OF_MANY_LIGHTS,
             more=choice is None,
-        )
+        ), light
 
     def by_rays(
         lights: np.ndarray,
@@ -366,7 +425,7 @@ def _of_fog(
     many = len(bare) > ALL
     every = rest if many else np.union1d(bare, rest)
     beams = beams_of(bare)
-    if settings.integrator == "control_variates" and scattering.screen_dimensions == 2:
+    if settings.integrator == "control_variates" and not lens:
         found, own, others = [], [], []
         if len(rest) <= MOST_SIZED:
             found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
@@ -388,18 +447,19 @@ def _of_fog(
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
         else:
             elsewhere = None
-    if bare.size:
+    if by_net and lens:
+        if (of_rays := np.union1d(bare, small)).size:
+            by, plain = by_points_of_rays(of_rays)
+            parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
+    elif bare.size:
         by = by_rays(bare, beams, and_beams(None if calm is None else calm.beams), many)
         plain = ScatteredLight(scattering, bare, None, check)
-        if settings.integrator == "control_variates" and scattering.screen_dimensions > 2:
-            # A lens' rays differ; but a camera ray is worth a few points.
-            plain = by.alone
         parts.append(Part("fog lit by points", VOLUME, plain, 1, by))
-    if small.size:
+    if small.size and not lens:
         plain, of_spots = ScatteredLight(scattering, small, None, check), beams_of(small)
 
         def net() -> OverNet:
-            by = by_points(small)
+            by, _ = by_points(small)
             by.integrand.counts = plain.counts
             return by
 
@@ -411,9 +471,39 @@ def _of_fog(
     # A point that goes to a lamp in one pixel, and to one of many triangles in the next, is followed badly.
     for name, some in (("lights", np.setdiff1d(others, apart)), ("glowing meshes", apart)):
         if some.size:
-            by = by_points(some)
-            parts.append(Part(f"fog lit by {name}", VOLUME, by.integrand, 1, by))
+            by, plain = by_points(some)
+            parts.append(Part(f"fog lit by {name}", VOLUME, plain, 1, by))
     return parts
+
+
+def _with_lens(part: Part) -> Part:
+    """The same through a lens, of which nets alone know: of points that are of the lens as well. Few of them
+    are seen as so many sharp pictures, whatever the noise.
+    """
+    by = part.by
+    if not isinstance(by, OverNet):
+        return replace(part, by=None)
+    integrand, expected = by.integrand, by.expected
+    if not isinstance(integrand, ThroughLens):
+        integrand = ThroughLens(by.integrand)
+        expected = None if expected is None else integrand.told_by(expected)
+    return replace(part, by=replace(by, integrand=integrand, expected=expected, fewest=0))
+
+
+def _near_rays_of_lens(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
+    """Of lights (L,), those in the picture that most of a lens' rays pass outside of, up to `FOLLOWED`."""
+    rays, scene = scattering.rays, scattering.lights
+    lights = lights[np.isfinite(scene.reach[lights]) & ~np.isin(lights, scattering.of_mesh)]
+    centre = scene.centre[:, lights]
+    image, depth = rays.image_of(centre)
+    blur, far = rays.blur(depth), rays.blur(depth) * rays.scale(centre)
+    seen = (depth > rays.clip_start) & (scene.reach[lights] < blur / 2) & np.isfinite(image).all(axis=0)
+    # What is sharper is seen from few pixels.
+    seen &= far >= HALF_WIDTH
+    x0, y0, x1, y1 = region
+    for at, low, high in zip(image, (x0, y0), (x1, y1), strict=True):
+        seen &= (at > low - far) & (at < high + far)
+    return lights[seen] if seen.sum() <= FOLLOWED else lights[:0]
 
 
 def _asked(scattering: SingleScattering, region: Region) -> FogRays:
@@ -523,12 +613,21 @@ def _of_lasers(
         near = beside(lit.stretches)
 
         def and_creases(region: Region, map_: Map) -> np.ndarray:
-            return near(region, map_) | lit.creases(region, map_)
+            if lit.screen_dimensions == 2:
+                return near(region, map_) | lit.creases(region, map_)
+            # Creases are anywhere through a lens, but beams' ends are bright.
+            ends = lit.ends
+            return near(region, map_) | beside_images(stage.rays, ends.centre, ends.reach, region)
 
         points = _points_of(lit.stretches, SURFACE_POINTS, settings.samples, FEW_POINTS // 2)
         # What is mirrored may be too small for pilots: as many points as said.
         by = OverNet(
-            lit, points, and_creases, elsewhere, FOG_POINTS // SURFACE_POINTS, expected=lit.unshadowed
+            lit,
+            points,
+            and_creases,
+            elsewhere=elsewhere,
+            at_outlines=FOG_POINTS // SURFACE_POINTS,
+            expected=lit.unshadowed,
         )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)

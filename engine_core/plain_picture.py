@@ -134,7 +134,7 @@ class PlainPicture:
     @property
     def rays(self) -> int:
         """To be traced in all, about."""
-        return self.samples * (1 + self._split) * self._film.depth.size
+        return self.samples * (1 + self._split + len(self._parts)) * self._film.depth.size
 
     def begin(self) -> None:
         """Before the first samples."""

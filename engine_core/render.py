@@ -91,21 +91,24 @@ class _Render:
             settings.transparent_bounces,
         )
         self._parts = parts_of(scene, self._integrand, settings, self._workers.check)
-        # A lens is two dimensions more, which no polynomial over the screen covers.
-        self._parts_done = (
-            settings.integrator in ("control_variates", "cv_only") and self._integrand.screen_dimensions == 2
-        )
+        # Parts without noise alone know no lens.
+        no_lens = self._integrand.screen_dimensions == 2
+        built = settings.integrator == "control_variates" or settings.integrator == "cv_only" and no_lens
+        self._built = [part for part in self._parts if built and part.by is not None]
+        self._plainly = [part for part in self._parts if part not in self._built]
         # A picture of what is black needs its depth alone.
-        self._sampled = self._integrand.shows or bool(self._parts and not self._parts_done)
+        self._sampled = self._integrand.shows or bool(self._plainly)
         shown = [part.shows for part in self._parts]
         asked = settings.terms, settings.standard_error, settings.normals
         self._film = Film.empty(*scene.camera.region_size, shown, self._sampled, *asked)
         self._film.messages += self._integrand.messages
         self._surface = self._film.of_surfaces()
-        plainly = [] if self._parts_done else list(zip(self._parts, self._film.layers[1:], strict=True))
+        self._layers = {
+            part.name: layer for part, layer in zip(self._parts, self._film.layers[1:], strict=True)
+        }
         self._plain = PlainPicture(
             self._integrand,
-            plainly,
+            [(part, self._layers[part.name]) for part in self._plainly],
             self._surface,
             scene.camera,
             settings,
@@ -147,7 +150,7 @@ class _Render:
         """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
         surfaces, ended = self._build_surfaces()
         parts = []
-        if not ended and surfaces is None and self._integrand.shows and self._parts_are_built:
+        if not ended and surfaces is None and self._integrand.shows and self._built:
             # Plain samples come in any case, and the first ones tell what of the fog's noise they hide.
             ended = self._begin_plain(share=0.0)
         if not ended:
@@ -214,20 +217,15 @@ class _Render:
 
     # -- fog and lasers ----------------------------------------------------------------------------
 
-    @property
-    def _parts_are_built(self) -> bool:
-        """Whether there is fog, or are lasers, that something serves better than plain samples."""
-        return bool(self._parts) and self._parts_done
-
     def _build_parts(self, surfaces: ControlVariatePicture | None) -> tuple[list[Built], str | None]:
         """Pictures of fog and lasers, built and shown; and why it was stopped, if it was."""
         built, ended = [], None
-        if not self._parts_are_built:
+        if not self._built:
             return built, ended
         # How many points of a net are worth it depends on what is shown beside.
         noise = self._noise(surfaces)
-        for part, layer in zip(self._parts, self._film.layers[1:], strict=True):
-            begin, by = time.perf_counter(), part.by
+        for part in self._built:
+            begin, by, layer = time.perf_counter(), part.by, self._layers[part.name]
             while by is not None and not ended:
                 picture = PICTURES[type(by)](
                     by, self._settings, self._camera.region, layer, self._workers.check
@@ -262,13 +260,14 @@ class _Render:
         """Sample what was built, unless it is ``ended``; returns why it was stopped, if it was."""
         # What is worth a sample depends on all that is shown.
         beside = None
-        if parts and not ended and self._settings.integrator == "control_variates":
+        refined = any(isinstance(picture, Refined) for picture, _ in parts)
+        if refined and not ended and self._settings.integrator == "control_variates":
             if surfaces is not None:
                 a_sample = surfaces.deviation_a_sample
             else:
                 a_sample = self._plain.deviation_a_sample() if self._sampled_once else None
             beside = *self._brightness(), a_sample
-        for part, (picture, seconds) in zip(self._parts, parts, strict=False):
+        for part, (picture, seconds) in zip(self._built, parts, strict=False):
             begin = time.perf_counter()
             if isinstance(picture, Refined):
                 if beside is not None and not ended:
@@ -442,7 +441,7 @@ class _Render:
         """`EdgeSamples`, where they are worth it; returns why they were stopped, if they were."""
         settings, integrand = self._settings, self._integrand
         exact = integrand.samples_every or (integrand.only_points and len(integrand.lights) == 1)
-        plain = bool(self._parts) and not self._parts_done
+        plain = bool(self._plainly)
         if settings.integrator != "control_variates" or settings.noise_threshold or not exact or plain:
             return None
         edges = EdgeSamples(
@@ -497,9 +496,8 @@ class _Render:
         end, began, built = time.perf_counter(), self._workers.began, self._workers.built
         film = self._film
         self._counts.update(self._plain.counts)
-        if not self._parts_done:
-            for part in self._parts:
-                self._counts.update(part.counts())
+        for part in self._plainly:
+            self._counts.update(part.counts())
         if self._counts[NON_FINITE]:
             film.messages.append(
                 f"{self._counts[NON_FINITE]} light samples were not finite and count as black; "

@@ -22,8 +22,8 @@ class Settings:
         take more of surfaces beside fog that costs more and is less noisy, unless there is a noise threshold.
     light_samples : shadow rays for each camera ray, 0 to choose by the lights; control variates, and up to
         16 lights none of which has a size, take one for each light.
-    integrator : "control_variates" (polynomials, and Sobol points where these are wrong; with more than 8
-        lights, mesh lights of many triangles, depth of field or only points as "sobol"), "sobol"
+    integrator : "control_variates" (polynomials, and Sobol points where these are wrong; surfaces with more
+        than 8 lights, mesh lights of many triangles, depth of field or only points as "sobol"), "sobol"
         (Owen-scrambled Sobol points), "monte_carlo" (pseudo-random points), "quadrature" (nested adaptive
         quadrature over the lights: no noise, but an error of its own), "cv_only" (the polynomials alone: no
         noise, and biased).

@@ -73,11 +73,12 @@ LIT = {
 
 
 LENS = {"aperture": 0.4, "focus_distance": 5.0}
+BLADES = LENS | {"blades": 5, "blade_rotation": 0.3, "aperture_ratio": 1.6}
 
 
 @pytest.mark.parametrize(
     "name, lens",
-    [*((name, {}) for name in LIT), ("point", LENS), ("in the picture", LENS), ("narrow beam", LENS)],
+    [*((name, {}) for name in LIT), *((name, LENS) for name in LIT), ("in the picture", BLADES)],
 )
 def test_pictures_of_fog_are_unbiased(name, lens):
     """The mean over seeds, of the whole picture and of its quarters, is that of plain samples."""

@@ -51,6 +51,66 @@ def regular_polygon(
     return a * np.cos(angle) + b * np.cos(following), a * np.sin(angle) + b * np.sin(following)
 
 
+def square_of_disk(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of `concentric_disk`."""
+    wide = np.abs(x) > np.abs(y)
+    radius = np.copysign(np.hypot(x, y), np.where(wide, x, y))
+    near, far = np.where(wide, x, y), np.where(wide, y, x)
+    other = radius * np.arctan(far / np.where(near == 0, 1, near)) * (4 / np.pi)
+    a, b = np.where(wide, radius, other), np.where(wide, other, radius)
+    return (a + 1) / 2, (b + 1) / 2
+
+
+def square_of_polygon(
+    corners: int, rotation: float, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of `regular_polygon`."""
+    sector = 2 * np.pi / corners
+    turned = (np.arctan2(y, x) - rotation) / sector + 0.5
+    number = np.mod(np.floor(turned), corners)
+    # Along the edge's normal and along the edge, the edge's middle at 1 and its ends at -1 and 1.
+    middle = rotation + number * sector
+    root = (x * np.cos(middle) + y * np.sin(middle)) / np.cos(sector / 2)
+    along = (y * np.cos(middle) - x * np.sin(middle)) / np.sin(sector / 2)
+    v = (along / np.where(root > 0, root, 1) + 1) / 2
+    return (number + root * root) / corners, v
+
+
+def polar_in_disk(
+    x: np.ndarray, y: np.ndarray, u: np.ndarray, v: np.ndarray, corners: int = 0, rotation: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the unit disk, or of the `regular_polygon` in it, by angle and distance about places (x, y),
+    which may be anywhere; and their weights, to a uniform density. Far outside that is nearly even.
+
+    The map has no jump where a weight is, wherever the place moves.
+    """
+    away = np.hypot(x, y)
+    # Half of the angle that the disk fills; a little more next to it, as it is all around inside.
+    half = np.arcsin(1 / np.maximum(away, 1)) + np.pi / 2 * np.clip(5 - 4 * away, 0, 1)
+    half = np.where(away < 1, np.pi, half)
+    towards = np.arctan2(-y, -x)
+    beside = np.mod(2 * np.pi * u - towards + np.pi, 2 * np.pi) - np.pi
+    angle = towards + beside * (half / np.pi)
+    cos, sin = np.cos(angle), np.sin(angle)
+    along, past = x * cos + y * sin, x * sin - y * cos
+    chord = np.sqrt(np.maximum(1 - past * past, 0))
+    entry, leave = np.maximum(-along - chord, 0), -along + chord
+    area = np.pi
+    if corners >= 3:
+        area = corners / 2 * np.sin(2 * np.pi / corners)
+        for edge in rotation + np.arange(corners) * (2 * np.pi / corners):
+            slope = cos * np.cos(edge) + sin * np.sin(edge)
+            room = np.cos(np.pi / corners) - x * np.cos(edge) - y * np.sin(edge)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at = room / slope
+            entry = np.where(slope < 0, np.maximum(entry, at), entry)
+            leave = np.where(slope > 0, np.minimum(leave, at), leave)
+            leave = np.where((slope == 0) & (room < 0), entry, leave)
+    length = np.where(past * past < 1, np.maximum(leave - entry, 0), 0)
+    radius = entry + v * length
+    return x + radius * cos, y + radius * sin, radius * length * (2 * half / area)
+
+
 def cap(u: np.ndarray, v: np.ndarray, one_minus_cos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Uniform directions (x, y, 1 - z) of a spherical cap about +z; pdf 1 / (2 pi one_minus_cos).
 

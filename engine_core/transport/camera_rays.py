@@ -7,14 +7,20 @@ import numpy as np
 
 from ..geometry.frame import Frame
 from ..geometry.raytracer import FAR
-from ..geometry.warps import concentric_disk, regular_polygon
+from ..geometry.warps import (
+    concentric_disk,
+    polar_in_disk,
+    regular_polygon,
+    square_of_disk,
+    square_of_polygon,
+)
 from ..scene import Camera
 
 
 class CameraRays:
     """Maps (pixel, point in its unit square, point on a lens of some size) to a ray, in the frame's units.
 
-    dimensions : 2 of a pixel, and 2 of a lens.
+    dimensions : 2 of a pixel, and 2 of a lens. right : (3,) unit, along the picture's rows.
 
     The direction's component along the view axis is 1, so that a distance along the ray *is* the
     depth. The box filter of one pixel is the whole reconstruction, as with Cycles' "Box".
@@ -33,7 +39,7 @@ class CameraRays:
         length = (camera.clip_end - camera.clip_start) * frame.scale
         self.reach = float(min(length, FAR))
         self.dimensions = 4 if camera.aperture > 0 else 2
-        self._right, self._up = right, up
+        self.right, self._up = right, up
         self._lens = camera.aperture * frame.scale, camera.blades, camera.blade_rotation
         self._narrowing = 1 / camera.aperture_ratio
         self._focus = camera.focus_distance * frame.scale
@@ -87,11 +93,50 @@ class CameraRays:
         steps = np.stack([self._step_x, self._step_y])
         return steps @ offset / np.square(steps).sum(axis=1)[:, None], depth
 
+    def blur(self, depth: np.ndarray) -> np.ndarray:
+        """Radii that a lens' rays through one point fill at depths along the view axis; in the frame."""
+        return self._lens[0] * max(self._narrowing, 1) * np.abs(1 - depth / self._focus)
+
+    def scale(self, positions: np.ndarray) -> np.ndarray:
+        """(L,) pixels of a unit of the frame at positions (3, L) in front."""
+        image, depth = self.image_of(positions)
+        beside = 1e-3 * np.maximum(depth, 1e-30)
+        moved, _ = self.image_of(positions + self.right[:, None] * beside)
+        return np.abs(moved - image).max(axis=0) / beside
+
+    def seen_at(self, position: np.ndarray, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(2, B, S) where a lens, its radius 1, sees a position (3,) in front of it, from places of pixels.
+
+        x, y : (B,) pixels of the whole frame. u : (2, B, S) of their unit squares.
+        """
+        depth = self._forward @ position
+        # What is in focus is seen from nowhere else.
+        moved = 1 - depth / self._focus
+        moved = np.copysign(max(abs(moved), 1e-9), moved)
+        place = np.stack([x, y])[:, :, None] + u.astype(np.float64)
+        at = np.empty(place.shape)
+        for out, side, narrowing in zip(at, (self.right, self._up), (self._narrowing, 1), strict=True):
+            seen = side @ self._corner + (side @ self._step_x) * place[0] + (side @ self._step_y) * place[1]
+            seen = seen * depth if self._perspective else seen
+            out[:] = (side @ position - seen) / (moved * self._lens[0] * narrowing)
+        return at
+
+    def lens_about(self, at: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (2, B, S) of the lens' unit square, spread in polar coordinates about places ``at`` of
+        `seen_at`, (2, B, 1) or (2, B, S); and their weights (B, S). v : (2, B, S) uniform.
+        """
+        _, blades, rotation = self._lens
+        if blades < 3:
+            *lens, weight = polar_in_disk(*at, *v)
+            return np.stack(square_of_disk(*lens)), weight
+        *lens, weight = polar_in_disk(*at, *v, blades, rotation)
+        return np.stack(square_of_polygon(blades, rotation, *lens)), weight
+
     def _through_lens(self, points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rays from points of the lens to where rays ``points`` (N, 3) through its middle are in focus."""
         radius, blades, rotation = self._lens
         x, y = concentric_disk(*u) if blades < 3 else regular_polygon(blades, rotation, *u)
-        lens = np.outer(x * np.float32(radius * self._narrowing), self._right.astype(np.float32))
+        lens = np.outer(x * np.float32(radius * self._narrowing), self.right.astype(np.float32))
         lens += np.outer(y * np.float32(radius), self._up.astype(np.float32))
         if self._perspective:
             directions = points - lens / np.float32(self._focus)

@@ -25,6 +25,7 @@ class FogRays:
     place : (2, M) of rays in the frame, in pixels; None where nothing wants it.
     tiles : of a `Guide` about them; None without one.
     crossings : rays that went on behind transparent surfaces.
+    lit : of lights by number, (M,) bool, which rays are to get light of them; of those left out, all.
     """
 
     origin: np.ndarray
@@ -36,10 +37,15 @@ class FogRays:
     place: np.ndarray | None = None
     tiles: tuple[np.ndarray, np.ndarray] | None = None
     crossings: int = 0
+    lit: dict[int, np.ndarray] = field(default_factory=dict)
     values: None = field(default=None, init=False)
 
     def __len__(self) -> int:
         return self.origin.shape[1]
+
+    def lit_of(self, ray: np.ndarray | None) -> dict[int, np.ndarray]:
+        """``lit`` of rays (N,), None for all."""
+        return self.lit if ray is None else {number: some.take(ray) for number, some in self.lit.items()}
 
     def segments(self, ray: np.ndarray | None) -> tuple[np.ndarray | slice, np.ndarray]:
         """The segments of rays (N,), one ray after another, and which of these N each is of; None for all."""

@@ -170,7 +170,7 @@ class ScatteredAlongRay(Scattered):
             return radiance, told
         segments = FogSegments.of(rays, lane, self._scattering.media, self._lamp(u))
         edged = []
-        for looks, lanes in self._lanes(segments, lights):
+        for looks, lanes in self._lanes(segments, lights, rays.lit_of(lane)):
             if len(lanes) == 0:
                 continue
             ray = segments.ray.take(lanes.segment)
@@ -196,7 +196,8 @@ class ScatteredAlongRay(Scattered):
         """Radiance (3, N) of many lights at u (2, N): of each that brings little by a few points."""
         count = len(lane)
         segments = FogSegments.of(rays, lane, self._scattering.media, self._lamp(u))
-        every = [found for found in self._lanes(segments, self._bare, True) if len(found[1])]
+        found = self._lanes(segments, self._bare, rays.lit_of(lane), True)
+        every = [(looks, lanes) for looks, lanes in found if len(lanes)]
         of = [segments.ray.take(lanes.segment) for _, lanes in every]
         bright, total = [], np.zeros(count)
         for (_, lanes), ray in zip(every, of, strict=True):
@@ -226,10 +227,10 @@ class ScatteredAlongRay(Scattered):
         return self._integrals.by_points(lanes, self._seen, self._few, u)
 
     def _lanes(
-        self, segments: FogSegments, bare: BareLights, whole: bool = False
+        self, segments: FogSegments, bare: BareLights, lit: dict[int, np.ndarray], whole: bool = False
     ) -> Iterator[tuple[Looks, Lanes]]:
         """Lanes of all kinds of lights, in batches, and how many rays these have; of a kind at once if
-        ``whole``.
+        ``whole``. lit : as of `FogRays`.
         """
         for (kind, shape), make in LANES.items():
             rows = np.flatnonzero((bare.kind == kind) & (bare.shape == shape))
@@ -238,6 +239,9 @@ class ScatteredAlongRay(Scattered):
             for low in range(0, len(rows), step):
                 lights = bare.take(rows[low : low + step])
                 lanes = make(segments, lights, self._scattering.media)
+                for number, some in lit.items():
+                    theirs = (lights.number != number).take(lanes.light)
+                    lanes = lanes.take(np.flatnonzero(theirs | some.take(segments.ray.take(lanes.segment))))
                 looks = self._nodes[kind], self._checks
                 if lanes.several is None:
                     yield looks, lanes

@@ -147,6 +147,8 @@ class ScatteredLight(Scattered):
             which, values = self._scattered(rays, ray, None, u, split)
             return which, self._bounded(values)
         lit, parts = self.lit_rays(rays), []
+        for number, some in rays.lit.items():
+            lit[np.searchsorted(self._lights, number)] &= some
         step = max(1, _AT_ONCE // (len(self._lights) * split))
         for low in range(0, len(ray), step):
             some = ray[low : low + step]

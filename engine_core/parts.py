@@ -304,6 +304,9 @@ def _of_fog(
             small = np.setdiff1d(small, doubtful)
         if coloured and _noise_along(scattering, bare, asked, check) > NOISY:
             bare, rest = bare[:0], np.union1d(bare, rest)
+    if by_net and lens and len(bare) + len(small) > ALL:
+        # Of many, points of each of a lens' rays would be dear.
+        bare, small, rest = bare[:0], small[:0], np.union1d(bare, rest)
 
     def integrands(lights: np.ndarray) -> list[StagedIntegrand]:
         """Of lights of all kinds: whole rays of those without size and small ones, points of the others."""

@@ -7,9 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import floor, sphere
+from scenes import floor, place, sphere
 
-from engine_core import Camera, Laser, Material, PointLight, Scene, Settings, SpotLight, Volume, World, render
+from engine_core import (
+    AreaLight,
+    Camera,
+    Laser,
+    Material,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    Volume,
+    World,
+    render,
+)
 from engine_core.geometry.frame import frame_of
 from engine_core.geometry.warps import (
     concentric_disk,
@@ -117,6 +129,15 @@ LIGHTS = {
         PointLight(90.0, position=np.array([-1.2, 2.0, 0.9]), radius=0.02),
     ),
     "a lamp beside": (PointLight(300.0, position=np.array([5.0, -1.0, 6.0])),),
+    "many lamps": tuple(
+        PointLight(20.0, position=np.array([x, 1.5, z]), radius=0.03)
+        for x in (-2.0, -1.2, -0.4, 0.4, 1.2, 2.0)
+        for z in (0.6, 1.4, 2.2)
+    ),
+    "a ball and a pane": (
+        PointLight(90.0, position=np.array([-1.2, 1.0, 1.5]), radius=0.4),
+        AreaLight(90.0, light_to_world=place((1.5, 1.0, 3.0), (0, 0, -1)), size=0.8),
+    ),
     "a laser": (
         Laser(
             30.0,
@@ -130,7 +151,14 @@ LIGHTS = {
 
 
 @pytest.mark.parametrize(
-    "name, most", [("lamps in the picture", 0.4), ("a lamp beside", 0.5), ("a laser", 0.5)]
+    "name, most",
+    [
+        ("lamps in the picture", 0.4),
+        ("a lamp beside", 0.5),
+        ("many lamps", 0.7),
+        ("a ball and a pane", 0.7),
+        ("a laser", 0.5),
+    ],
 )
 def test_nets_through_a_lens_are_right_and_calm(name, most):
     """Blocks of pixels, in the mean over seeds, as of plain samples; and fog by one sample less wrong."""

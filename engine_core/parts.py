@@ -231,8 +231,8 @@ class Part:
             integrands += [self.by.whole, self.by.alone]
         elif isinstance(self.by, AroundLights):
             integrands += [*self.by.own, *(one for one, _ in chain.from_iterable(self.by.others))]
-        different = {id(integrand.counts): integrand.counts for integrand in integrands}
-        return sum(different.values(), Counter())
+        every = [integrand.counts for integrand in integrands]
+        return sum({id(counts): counts for counts in every}.values(), Counter())
 
 
 def parts_of(
@@ -318,7 +318,7 @@ def _of_fog(
             )
         if (of_rest := np.setdiff1d(np.intersect1d(lights, rest), small)).size:
             found.append(ScatteredLight(scattering, of_rest, None, check, by_phase))
-        return found
+        return [ThroughLens(one) for one in found] if lens else found
 
     def and_beams(beams: np.ndarray | None) -> Callable[[Region, Map], np.ndarray]:
         return lambda region, map_: outlines.with_fog(region, map_) | (False if beams is None else beams)
@@ -331,9 +331,8 @@ def _of_fog(
             return and_beams(None)
         narrow = tamed(scattering.rays, scattering.lights, of_spots, [], region).beams
         if lens:
-            centre = scattering.lights.centre[:, list(of_spots)]
-            blur = rays.blur(rays.image_of(centre)[1]) * rays.scale(centre)
-            wider = int(np.ceil(min(np.nan_to_num(blur).max(), MOST_BLUR)))
+            blur = _blur_in_pixels(scattering, np.array(list(of_spots)))
+            wider = int(np.ceil(min(blur.max(), MOST_BLUR)))
             narrow = box_sums(narrow[None].astype(np.float64), wider)[0] > 0.5
         return and_beams(narrow)
 
@@ -361,7 +360,7 @@ def _of_fog(
             _growing(LIGHT_POINTS, settings.samples),
         )
         told, outlines = integrand.told_by(plain.unshadowed), and_blurred(lights, near)
-        return OverNet(integrand, points, outlines, expected=told, more=True), plain
+        return OverNet(integrand, points, outlines, elsewhere, expected=told, more=True), plain
 
     def by_points(lights: np.ndarray) -> tuple[OverNet, ScatteredLight]:
         """And what samples them plainly."""
@@ -428,10 +427,11 @@ def _of_fog(
     many = len(bare) > ALL
     every = rest if many else np.union1d(bare, rest)
     beams = beams_of(bare)
-    if settings.integrator == "control_variates" and not lens:
+    if settings.integrator == "control_variates":
         found, own, others = [], [], []
         if len(rest) <= MOST_SIZED:
-            found, elsewhere = blocks(scattering.rays, scattering.lights, every, region)
+            sharp = every[_blur_in_pixels(scattering, every) < HALF_WIDTH] if lens else every
+            found, elsewhere = blocks(scattering.rays, scattering.lights, sharp, region)
             own = [integrands(every[every == b.light])[0] for b in found]
             groups = [(b.beside, np.setdiff1d(every, np.append(b.beside, b.light))) for b in found]
             others = [
@@ -445,6 +445,8 @@ def _of_fog(
             calm = tamed(scattering.rays, scattering.lights, beams, found, region)
         if found:
             lit = [lit_angles(scattering.rays, scattering.lights, scattering.cones, b.light) for b in found]
+            # A lens sees cones from beside their tips, too.
+            lit = [None] * len(found) if lens else lit
             own = [AroundLight(one, b.centre, at) for one, b, at in zip(own, found, lit, strict=True)]
             by = AroundLights(found, own, others)
             parts.append(Part("fog around lights", VOLUME, own[0], 1, by))
@@ -484,6 +486,8 @@ def _with_lens(part: Part) -> Part:
     are seen as so many sharp pictures, whatever the noise.
     """
     by = part.by
+    if isinstance(by, AroundLights) and part.shows == VOLUME:
+        return part
     if not isinstance(by, OverNet):
         return replace(part, by=None)
     integrand, expected = by.integrand, by.expected
@@ -493,13 +497,18 @@ def _with_lens(part: Part) -> Part:
     return replace(part, by=replace(by, integrand=integrand, expected=expected, fewest=0))
 
 
+def _blur_in_pixels(scattering: SingleScattering, lights: np.ndarray) -> np.ndarray:
+    """(L,) radii of what a lens makes of middles of lights (L,), in pixels."""
+    rays, centre = scattering.rays, scattering.lights.centre[:, lights]
+    return np.nan_to_num(rays.blur(rays.image_of(centre)[1]) * rays.scale(centre), nan=np.inf)
+
+
 def _near_rays_of_lens(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:
     """Of lights (L,), those in the picture that most of a lens' rays pass outside of, up to `FOLLOWED`."""
     rays, scene = scattering.rays, scattering.lights
     lights = lights[np.isfinite(scene.reach[lights]) & ~np.isin(lights, scattering.of_mesh)]
-    centre = scene.centre[:, lights]
-    image, depth = rays.image_of(centre)
-    blur, far = rays.blur(depth), rays.blur(depth) * rays.scale(centre)
+    image, depth = rays.image_of(scene.centre[:, lights])
+    blur, far = rays.blur(depth), _blur_in_pixels(scattering, lights)
     seen = (depth > rays.clip_start) & (scene.reach[lights] < blur / 2) & np.isfinite(image).all(axis=0)
     # What is sharper is seen from few pixels.
     seen &= far >= HALF_WIDTH

@@ -150,6 +150,29 @@ LIGHTS = {
 }
 
 
+def in_focus(lamp: tuple[float, float, float]) -> dict[str, float]:
+    """Of the camera's plane, how far a place is."""
+    towards = np.array([0, 6, -1]) / 37**0.5
+    return {"focus_distance": float((np.array(lamp) - (0, -6, 2)) @ towards)}
+
+
+@pytest.mark.parametrize("lens", [in_focus((0.5, 1.0, 1.6)), in_focus((0.5, 1.0, 1.6)) | {"aperture": 0.02}])
+def test_fog_about_lamps_that_are_sharp_is_right(lens):
+    """They have blocks of pixels of their own, which no net counts again."""
+    scene = seen_through_a_lens(*LIGHTS["lamps in the picture"], **lens)
+    about = (slice(14, 26), slice(20, 36))
+
+    def pictures(samples: int, seeds: int, integrator: str = "control_variates") -> np.ndarray:
+        films = [render(scene, Settings(samples, seed=s, integrator=integrator)) for s in range(seeds)]
+        return np.array([film.volume[about].mean() for film in films], np.float64)
+
+    assert "fog around lights" in render(scene, Settings(1)).statistics
+    ours, plain = pictures(1, 12), pictures(256, 8, "sobol")
+    error = np.hypot(ours.std(ddof=1) / 12**0.5, plain.std(ddof=1) / 8**0.5)
+    assert abs(ours.mean() - plain.mean()) < 4 * error
+    assert error < 0.01 * plain.mean()
+
+
 @pytest.mark.parametrize(
     "name, most",
     [

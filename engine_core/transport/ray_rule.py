@@ -239,9 +239,11 @@ class ScatteredAlongRay(Scattered):
             for low in range(0, len(rows), step):
                 lights = bare.take(rows[low : low + step])
                 lanes = make(segments, lights, self._scattering.media)
-                for number, some in lit.items():
-                    theirs = (lights.number != number).take(lanes.light)
-                    lanes = lanes.take(np.flatnonzero(theirs | some.take(segments.ray.take(lanes.segment))))
+                if lit:
+                    own, ray = np.ones(len(lanes), bool), segments.ray.take(lanes.segment)
+                    for number, some in lit.items():
+                        own &= (lights.number != number).take(lanes.light) | some.take(ray)
+                    lanes = lanes if own.all() else lanes.take(np.flatnonzero(own))
                 looks = self._nodes[kind], self._checks
                 if lanes.several is None:
                     yield looks, lanes

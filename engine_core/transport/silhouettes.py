@@ -222,9 +222,6 @@ class Silhouettes:
         return found if met is None else found | of_bodies(met)
 
     def _traced(self, region: tuple[int, int, int, int], map_: Map) -> tuple[np.ndarray, np.ndarray | None]:
-        if self._rays.dimensions > 2:
-            # Each point of a lens sees them elsewhere.
-            return np.zeros((region[2] - region[0], region[3] - region[1]), bool), None
         if region not in self._found:
             self._found[region] = silhouettes(self._rays, self._surfaces, region, map_, self._media)
         return self._found[region]

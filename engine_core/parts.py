@@ -90,6 +90,9 @@ angle, so that whole rays see it as a few points; wider ones have nets. And up t
 MOST_BLUR = 16
 """Pixels by which a narrow beam is taken to be wider through a lens, at most."""
 
+WIDER = 0.15
+"""Radians by which a spot's cone is taken to be wider to either side, from all over a lens."""
+
 RAYS_ASKED = 16
 """Along either edge of the picture, how many rays tell that distance."""
 
@@ -349,7 +352,10 @@ def _of_fog(
     def near_of(lights: np.ndarray, of: Callable[[np.ndarray], StagedIntegrand]) -> list[Lamp]:
         """Those of lights (L,) with rays of their own, through a lens. of : light of some of them."""
         near = _near_rays_of_lens(scattering, lights, region) if by_net and lens else lights[:0]
-        return [Lamp(int(k), scattering.lights.centre[:, k], of(np.array([k]))) for k in near]
+        return [
+            Lamp(int(k), scattering.lights.centre[:, k], of(np.array([k])), _lit_through_lens(scattering, k))
+            for k in near
+        ]
 
     def by_points_of_rays(lights: np.ndarray) -> tuple[OverNet, ScatteredLight]:
         """Of lights without size, or small ones, through a lens; and what samples them plainly."""
@@ -501,6 +507,18 @@ def _blur_in_pixels(scattering: SingleScattering, lights: np.ndarray) -> np.ndar
     """(L,) radii of what a lens makes of middles of lights (L,), in pixels."""
     rays, centre = scattering.rays, scattering.lights.centre[:, lights]
     return np.nan_to_num(rays.blur(rays.image_of(centre)[1]) * rays.scale(centre), nan=np.inf)
+
+
+def _lit_through_lens(scattering: SingleScattering, light: int) -> tuple[float, float] | None:
+    """In which directions of a lens, from where it sees a spot, it sees its cone: their middle, and how far
+    beside it, about. None for all.
+    """
+    rays = scattering.rays
+    lit = lit_angles(rays, scattering.lights, scattering.cones, light, True)
+    if lit is None:
+        return None
+    wide = min((lit[2] - lit[1]) / 2 + WIDER, np.pi)
+    return lit[0] + (lit[1] + lit[2]) / 2 + np.pi * rays.turns(scattering.lights.centre[:, light]), wide
 
 
 def _near_rays_of_lens(scattering: SingleScattering, lights: np.ndarray, region: Region) -> np.ndarray:

@@ -20,10 +20,12 @@ from engine_core import (
     SpotLight,
     Volume,
     World,
+    parts,
     render,
 )
 from engine_core.geometry.frame import frame_of
 from engine_core.geometry.warps import (
+    about_angle,
     concentric_disk,
     polar_in_disk,
     regular_polygon,
@@ -76,6 +78,35 @@ def test_polar_points_take_away_one_over_the_distance():
         px, py, weight = polar_in_disk(np.full(u.shape[1], x), np.zeros(u.shape[1]), *u)
         found = weight / np.maximum(np.hypot(px - x, py), 1e-12)
         assert found.std() <= most * found.mean()
+
+
+@pytest.mark.parametrize("middle, half", [(0.3, 0.2), (-3.0, 1.5), (9.0, 3.0)])
+def test_points_about_an_angle_are_of_all_of_the_circle(middle, half):
+    u = (np.arange(1 << 14) + 0.5) / (1 << 14)
+    for part in (0.75, half / np.pi):
+        turned, weight = about_angle(u, middle, half, np.array(part))
+        assert ((turned >= 0) & (turned < 1)).all()
+        near = np.abs(np.mod(2 * np.pi * turned - middle + np.pi, 2 * np.pi) - np.pi) < half
+        assert near.mean() == pytest.approx(part, abs=1e-3)
+        f = 1 + np.sin(2 * np.pi * turned) ** 3 + np.cos(6 * np.pi * turned + 1)
+        assert (f * weight).mean() == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("focus", [3.0, 16.0])
+def test_rays_about_a_spot_are_those_that_see_its_cone(focus, monkeypatch):
+    """In front of what is in focus, and behind."""
+    to_the_side = np.array([[0, 0, -1, -1], [1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 0, 1.0]])
+    spot = SpotLight(300.0, light_to_world=to_the_side, angle=0.5)
+    scene = seen_through_a_lens(spot, aperture=0.7, focus_distance=focus, width=96, height=64)
+
+    def wrong() -> float:
+        films = [render(scene, Settings(1, seed=s)) for s in range(6)]
+        return float(np.sqrt(np.square([film.volume - truth for film in films]).mean()))
+
+    truth = render(scene, Settings(256, seed=9, integrator="sobol")).volume
+    ours = wrong()
+    monkeypatch.setattr(parts, "_lit_through_lens", lambda *_: None)
+    assert ours < 0.8 * wrong()
 
 
 CAMERAS = [

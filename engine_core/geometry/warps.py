@@ -76,6 +76,18 @@ def square_of_polygon(
     return (number + root * root) / corners, v
 
 
+def about_angle(u: np.ndarray, middle: float, half: float, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of a circle at u, ``part`` within an angle ``half`` of its ``middle``; and 1 / density."""
+    wide = half / np.pi
+    # From the middle on, so that the circle closes in what is far.
+    beside = 2 * np.mod(u - middle / (2 * np.pi) + 0.5, 1) - 1
+    far = np.abs(beside)
+    near = far < part
+    slope = np.where(near, wide / part, (1 - wide) / (1 - part))
+    moved = np.where(near, far * slope, 1 - (1 - far) * slope)
+    return np.mod(middle / (2 * np.pi) + np.copysign(moved, beside) / 2, 1), slope
+
+
 def polar_in_disk(
     x: np.ndarray, y: np.ndarray, u: np.ndarray, v: np.ndarray, corners: int = 0, rotation: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

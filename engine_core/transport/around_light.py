@@ -218,10 +218,12 @@ def _distances(rays: CameraRays, lights: SceneLights, light: int, place: np.ndar
 
 
 def lit_angles(
-    rays: CameraRays, lights: SceneLights, cones: AirLights, light: int
+    rays: CameraRays, lights: SceneLights, cones: AirLights, light: int, sized: bool = False
 ) -> tuple[float, float, float] | None:
-    """Between which directions in the picture, as `polar` wants them, its cone is seen; None for all."""
-    if not cones.coned[light] or lights.reach[light] > 0:
+    """Between which directions in the picture, as `polar` wants them, its cone is seen; None for all, and for
+    what has a size, unless it is ``sized``, which takes it for a point.
+    """
+    if not cones.coned[light] or lights.reach[light] > 0 and not sized:
         return None
     return _lit_from(rays, cones, light, lights.centre[:, light])
 

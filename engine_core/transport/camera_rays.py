@@ -8,6 +8,7 @@ import numpy as np
 from ..geometry.frame import Frame
 from ..geometry.raytracer import FAR
 from ..geometry.warps import (
+    about_angle,
     concentric_disk,
     polar_in_disk,
     regular_polygon,
@@ -15,6 +16,9 @@ from ..geometry.warps import (
     square_of_polygon,
 )
 from ..scene import Camera
+
+LIT = 0.75
+"""Of a lens' points about a spot, those from which its cone is seen, about."""
 
 
 class CameraRays:
@@ -121,16 +125,29 @@ class CameraRays:
             out[:] = (side @ position - seen) / (moved * self._lens[0] * narrowing)
         return at
 
-    def lens_about(self, at: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def lens_about(
+        self, at: np.ndarray, v: np.ndarray, lit: tuple[float, float] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Points (2, B, S) of the lens' unit square, spread in polar coordinates about places ``at`` of
         `seen_at`, (2, B, 1) or (2, B, S); and their weights (B, S). v : (2, B, S) uniform.
+
+        lit : a direction of the lens, and an angle beside it, within which most are to be.
         """
         _, blades, rotation = self._lens
+        u, more = v[0], 1.0
+        if lit is not None:
+            # From beside the lens there is but one direction to it.
+            inside, even = np.clip(5 - 4 * np.hypot(*at), 0, 1), lit[1] / np.pi
+            u, more = about_angle(u, *lit, even + np.maximum(LIT - even, 0) * inside)
         if blades < 3:
-            *lens, weight = polar_in_disk(*at, *v)
-            return np.stack(square_of_disk(*lens)), weight
-        *lens, weight = polar_in_disk(*at, *v, blades, rotation)
-        return np.stack(square_of_polygon(blades, rotation, *lens)), weight
+            *lens, weight = polar_in_disk(*at, u, v[1])
+            return np.stack(square_of_disk(*lens)), weight * more
+        *lens, weight = polar_in_disk(*at, u, v[1], blades, rotation)
+        return np.stack(square_of_polygon(blades, rotation, *lens)), weight * more
+
+    def turns(self, position: np.ndarray) -> bool:
+        """Whether a lens' rays pass a position (3,) on the other side than that at which they leave it."""
+        return bool(self._forward @ position > self._focus)
 
     def _through_lens(self, points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rays from points of the lens to where rays ``points`` (N, 3) through its middle are in focus."""

@@ -51,11 +51,15 @@ def beside_images(
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A lamp in the picture: its number, position (3,) in the frame, and its light alone."""
+    """A lamp in the picture: its number, position (3,) in the frame, and its light alone.
+
+    lit : as of `CameraRays.lens_about`.
+    """
 
     number: int
     position: np.ndarray
     light: StagedIntegrand
+    lit: tuple[float, float] | None = None
 
 
 LENS_POINTS = 8
@@ -117,7 +121,7 @@ class ThroughLens:
                 continue
             others[lamp.number] = ~near
             own = digital_shift(u[:, rows], number)
-            lens, weight = self._rays.lens_about(at[:, rows], own[-2:])
+            lens, weight = self._rays.lens_about(at[:, rows], own[-2:], lamp.lit)
             light = self._through(lens, pixels[rows], place[:, rows], own, lamp.light)
             total[:, rows] += light * weight.astype(np.float32)
         total += self._through(u[-2:], pixels, place, u, self._integrand, others)

@@ -227,7 +227,11 @@ class ScatteredAlongRay(Scattered):
         return self._integrals.by_points(lanes, self._seen, self._few, u)
 
     def _lanes(
-        self, segments: FogSegments, bare: BareLights, lit: dict[int, np.ndarray], whole: bool = False
+        self,
+        segments: FogSegments,
+        bare: BareLights,
+        lit: dict[int, np.ndarray] | None = None,
+        whole: bool = False,
     ) -> Iterator[tuple[Looks, Lanes]]:
         """Lanes of all kinds of lights, in batches, and how many rays these have; of a kind at once if
         ``whole``. lit : as of `FogRays`.

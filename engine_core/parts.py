@@ -361,10 +361,8 @@ def _of_fog(
         """Of lights without size, or small ones, through a lens; and what samples them plainly."""
         near = near_of(lights, partial(PointsOfRay, scattering, check=check))
         integrand = ThroughLens(PointsOfRay(scattering, lights, check), near, rays)
-        plain, points = (
-            ScatteredLight(scattering, lights, None, check),
-            _growing(LIGHT_POINTS, settings.samples),
-        )
+        plain = ScatteredLight(scattering, lights, None, check)
+        points = _growing(LIGHT_POINTS, settings.samples)
         told, outlines = integrand.told_by(plain.unshadowed), and_blurred(lights, near)
         return OverNet(integrand, points, outlines, elsewhere, expected=told, more=True), plain
 

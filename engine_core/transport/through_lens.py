@@ -23,6 +23,9 @@ from .camera_rays import CameraRays
 NEAR = 3.0
 """Radii of a lens from its middle, within which a lamp that is seen has rays of its own."""
 
+LENS_POINTS = 8
+"""Of a lens, that tell what is expected of all: a lamp is seen by its middle where few others see it."""
+
 
 def beside_images(
     rays: CameraRays, places: np.ndarray, reach: np.ndarray, region: tuple[int, int, int, int]
@@ -60,10 +63,6 @@ class Lamp:
     position: np.ndarray
     light: StagedIntegrand
     lit: tuple[float, float] | None = None
-
-
-LENS_POINTS = 8
-"""Of a lens, that tell what is expected of all: a lamp is seen by its middle where few others see it."""
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from .directly_seen import contrast_beside
 from .image.film import LARGEST, Film
-from .integration.allocation import sample_counts
+from .integration.allocation import black_of_chessboard, sample_counts
 from .integration.mapping import even_parts
 from .integration.point_sets import PointSet
 from .integration.sample_mean import sum_samples
@@ -26,7 +26,7 @@ MORE, MOST = 1 / 4, 4096
 class EdgeSamples:
     """Which pixels of a film are sampled how much more, and doing so.
 
-    work : (times, rows (N,)) what `add` takes, the most samples first. samples : of all work.
+    work : (have, times, rows (N,)) what `add` takes. samples : of all work.
     """
 
     def __init__(
@@ -35,42 +35,43 @@ class EdgeSamples:
         film: Film,
         corner: tuple[int, int],
         points: tuple[PointSet, PointSet],
-        have: int,
+        have: tuple[int, int],
         batch: int,
         check: Callable[[], None],
     ) -> None:
-        """film : of means of ``have`` samples of ``points`` in each pixel. corner : x0, y0 in the frame.
+        """film : of means of ``points``. have : samples of a chessboard's white pixels, and of black ones.
 
-        batch : samples at once, about. check : called before every batch; may raise.
+        corner : x0, y0 in the frame. batch : samples at once, about. check : called before every batch; may
+        raise.
         """
         self._integrand, self._film, self._corner, self._points = integrand, film, corner, points
-        self._have, self._batch, self._check = have, batch, check
-        # As of a chessboard: all white squares tell how often the black ones are sampled, and the reverse.
-        # Counts that are shared out by a pixel's own sample, however far away, would be biased.
+        self._batch, self._check = batch, check
         contrast = contrast_beside(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
-        times, black = np.ones(contrast.shape, np.int64), np.indices(contrast.shape).sum(axis=0) % 2 == 0
-        for which in (black, ~black):
+        self.work: list[tuple[int, int, np.ndarray]] = []
+        black = black_of_chessboard(contrast.shape)
+        for which, samples in zip((~black, black), have, strict=True):
             if contrast[which].any():
                 # An edge across a pixel is integrated by n points of a net with an error of n^-3/4.
                 budget = (1 + MORE) * np.count_nonzero(which)
-                times[which] = sample_counts(contrast[which] ** 0.8, budget, 0.0, 1.0)[0]
-        times = np.minimum(times.ravel(), max(1, MOST // have))
-        self.work: list[tuple[int, np.ndarray]] = []
-        for many in np.unique(times[times > 1])[::-1]:
-            rows = np.flatnonzero(times == many)
-            most = max(1, batch // (have * int(many)))
-            self.work += [(int(many), rows[part]) for part in even_parts(len(rows), most)]
-        self.samples = sum((many - 1) * len(rows) for many, rows in self.work) * have
+                times = sample_counts(contrast[which] ** 0.8, budget, 0.0, 1.0)[0]
+                times = np.minimum(times, max(1, MOST // samples))
+                for many in np.unique(times[times > 1]).tolist():
+                    rows = np.flatnonzero(which)[times == many]
+                    most = max(1, batch // (samples * many))
+                    self.work += [(samples, many, rows[part]) for part in even_parts(len(rows), most)]
+        self.work.sort(key=lambda work: -work[0] * work[1])
+        self.samples = sum(have * (many - 1) * len(rows) for have, many, rows in self.work)
         for group in points:
-            group.prepare(have * int(times.max()))
+            group.prepare(max((have * many for have, many, _ in self.work), default=1))
 
-    def add(self, many: int, rows: np.ndarray) -> DirectLightOverTile:
-        """Sample pixels ``rows`` (N,) of the film until they have ``many`` times their samples.
+    def add(self, have: int, many: int, rows: np.ndarray) -> DirectLightOverTile:
+        """Sample pixels ``rows`` (N,) of the film, which ``have`` samples, until they have so ``many`` times
+        these.
 
         Returns what was sampled, which has counted its rays.
         """
         self._check()
-        film, integrand, have = self._film, self._integrand, self._have
+        film, integrand = self._film, self._integrand
         row, column = np.divmod(rows, film.depth.shape[1])
         x, y = column + self._corner[0], row + self._corner[1]
         pixels = Pixels(x.astype(np.int32), y.astype(np.int32), np.zeros(len(rows), np.int32))

@@ -11,6 +11,7 @@ from threading import Lock
 import numpy as np
 
 from .image.film import FAR, LARGEST, Film, Layer
+from .integration.allocation import black_of_chessboard
 from .integration.point_sets import PointSet, staged_points
 from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
@@ -81,7 +82,8 @@ class Tile:
 class PlainPicture:
     """What plain samples make of a picture.
 
-    tiles : from the middle of the picture outwards. samples : of each pixel, at most. points : of surfaces.
+    tiles : from the middle of the picture outwards. samples : of each pixel, at most. of_halves : those of a
+        chessboard's white and black ones. points : of surfaces.
     counts : rays by kind, and what was not finite. seen : (2, 3, W, H) of `directly_seen`, None where samples
         see for themselves.
     """
@@ -113,9 +115,10 @@ class PlainPicture:
         ]
         self._quadrature = settings.integrator == "quadrature" and len(integrand.lights) > 0
         self._tolerance = 0.0
-        self.samples = settings.samples
+        samples = settings.samples
         if self._quadrature:
-            self.samples = max(1, self.samples // QUADRATURE_SHARE)
+            samples = max(1, samples // QUADRATURE_SHARE)
+        self.of_halves = samples, samples
         self.tiles = _tiles(camera, settings.tile_size or _tile_size(camera, threads))
         x0, y0, x1, y1 = camera.region
         self._active = np.ones((-(-y1 // BLOCK), -(-x1 // BLOCK)), bool)
@@ -127,9 +130,14 @@ class PlainPicture:
         self._counting = Lock()
         self.seen: np.ndarray | None = None
 
-    def take_more(self, times: int) -> None:
-        """So many times the samples."""
-        self.samples *= times
+    def take_more(self, times: tuple[int, int]) -> None:
+        """So many times the samples, of a chessboard's white and black pixels."""
+        white, black = self.of_halves
+        self.of_halves = white * times[0], black * times[1]
+
+    @property
+    def samples(self) -> int:
+        return max(self.of_halves)
 
     @property
     def rays(self) -> int:
@@ -180,6 +188,9 @@ class PlainPicture:
         pixels = tile.pixels()
         if not self._active[tile.blocks()].all():
             pixels = pixels[self._active[pixels.y // BLOCK, pixels.x // BLOCK]]
+        if start >= min(self.of_halves):
+            black = (pixels.x + pixels.y - sum(self._corner)) % 2 != 0
+            pixels = pixels[black == (self.of_halves[1] > start)]
         choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
         if self._keep_choices:
             tile.choice = choice
@@ -259,11 +270,24 @@ class PlainPicture:
         """Error to be expected of a pixel's channel, on average, as the first sample of all tells; None in a
         picture too narrow for that.
         """
-        radiance = self._film.combined[..., :3]
-        if self.seen is not None:
-            radiance = radiance - self.seen[0].transpose(2, 1, 0)
-        deviation = mean_deviation(radiance)
+        radiance = self._reflected()
+        (deviation,) = mean_deviations(radiance, (0, 1), np.ones(radiance.shape[:2], bool))
         return None if deviation is None else deviation / self.samples**0.75
+
+    def noise_of_halves(self) -> tuple[float, float] | None:
+        """As `noise`, as a chessboard's white pixels alone tell, and the black ones."""
+        radiance = self._reflected()
+        # Neighbours at the corners are of one colour.
+        black = black_of_chessboard(radiance.shape[:2])
+        white, black = mean_deviations(radiance, (1, 1), ~black, black)
+        if white is None or black is None:
+            return None
+        return white / self.samples**0.75, black / self.samples**0.75
+
+    def _reflected(self) -> np.ndarray:
+        """(H, W, 3) as it is, without what camera rays see by themselves."""
+        radiance = self._film.combined[..., :3]
+        return radiance if self.seen is None else radiance - self.seen[0].transpose(2, 1, 0)
 
     def deviation_a_sample(self) -> float | None:
         """As `ControlVariatePicture.deviation_a_sample`, of pixels that all have the same samples."""
@@ -298,22 +322,35 @@ class PlainPicture:
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
 
 
-def mean_deviation(radiance: np.ndarray) -> float | None:
-    """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of the next two;
-    None if it is too narrow for that. Of blocks, the root of the mean square, so that rare specks count.
+def mean_deviations(radiance: np.ndarray, step: tuple[int, int], *which: np.ndarray) -> list[float | None]:
+    """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of those a ``step``
+    of rows and columns before and after; of blocks, the root of the mean square, so that rare specks count.
+
+    which : (H, W) bool, pixels that count, each time. None where there are none, or none has such neighbours.
 
     What is linear makes none; sharper detail counts as if it were noise.
     """
-    apart = np.abs(np.diff(radiance, 2, axis=1)).sum(axis=2, dtype=np.float64)
-    if apart.size == 0:
-        return None
+    down, right = step
+    height, width = radiance.shape[0] - 2 * down, radiance.shape[1] - 2 * right
+    if height <= 0 or width <= 0:
+        return [None] * len(which)
+
+    def moved(times: int) -> np.ndarray:
+        return radiance[times * down :, times * right :][:height, :width]
+
+    apart = np.abs(moved(0) - 2 * moved(1) + moved(2)).sum(axis=2, dtype=np.float64)
     # Of three independent samples a - 2 b + c has six times the variance.
     square = np.square(apart) / 6
-    for axis, n in enumerate(square.shape):
-        starts = np.arange(0, n, BLOCK)
-        square = np.add.reduceat(square, starts, axis=axis)
-        square /= np.expand_dims(np.diff(np.append(starts, n)), 1 - axis)
-    return float(np.sqrt(square).mean()) / 3
+    return [_mean_of_blocks(square, some[down : down + height, right : right + width]) for some in which]
+
+
+def _mean_of_blocks(square: np.ndarray, which: np.ndarray) -> float | None:
+    """A channel's deviation by squares (H, W), of three channels, where they count."""
+    sums = np.stack([np.where(which, square, 0), which])
+    for axis in (1, 2):
+        sums = np.add.reduceat(sums, np.arange(0, sums.shape[axis], BLOCK), axis=axis)
+    square, count = sums[:, sums[1] > 0]
+    return float(np.sqrt(square / count).mean()) / 3 if len(count) else None
 
 
 def _light_samples(lights: int) -> int:

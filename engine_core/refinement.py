@@ -13,7 +13,7 @@ import numpy as np
 
 from .directly_seen import directly_seen
 from .image.film import FAR, LARGEST, Film
-from .integration.allocation import learned_deviation, sample_counts
+from .integration.allocation import black_of_chessboard, learned_deviation, sample_counts
 from .integration.build import NodeEvaluator, grow, root_edge
 from .integration.control_variate import LOG_BINS, ControlVariate, TileOfRegions
 from .integration.control_variates import BEYOND_HOPE, TWICE_ONE_IN, ControlVariates
@@ -227,6 +227,7 @@ class ControlVariatePicture:
             square[part] = np.square(np.abs(residual - approximate).sum(axis=0), dtype=np.float64)
 
         map_(sample_pilot, range(len(self)))
+        self._square = square
         self._deviation = error = learned_deviation(square, np.ones(bins, bool), self._error, map_)
         defensive, in_proportion, budget = DEFENSIVE, error, self._left
         if self._plain.all():
@@ -255,10 +256,26 @@ class ControlVariatePicture:
         for group in self._points:
             group.prepare(int(self._due.max()))
 
-    def take_more(self, times: int) -> None:
-        """So many times the samples, a power of two; before any pass over them."""
-        self._due = np.minimum(self._due * times, MOST)
-        self.passes += times.bit_length() - 1
+    def noise_of_halves(self, map_: Map) -> tuple[float, float]:
+        """As `noise`, as the pilots of a chessboard's white pixels alone tell, and those of the black ones.
+
+        map_ : runs a function over items on the workers.
+        """
+        black, of_halves = black_of_chessboard(self._bins), []
+        for told in (~black, black):
+            error = learned_deviation(self._square, told, self._error, map_)
+            # Samples go where the error is, and each net's falls as below.
+            mean = error.mean(dtype=np.float64) ** 0.75 * (error**0.25).mean(dtype=np.float64)
+            of_halves.append(float(mean / np.maximum(self._due, 1).mean() ** 0.75) / CHANNELS)
+        return of_halves[0], of_halves[1]
+
+    def take_more(self, times: tuple[int, int]) -> None:
+        """So many times the samples, powers of two, of a chessboard's white and black pixels; before any pass
+        over them.
+        """
+        of_each = np.where(black_of_chessboard(self._bins), times[1], times[0])
+        self._due = np.minimum(self._due * of_each, MOST)
+        self.passes += max(times).bit_length() - 1
         for group in self._points:
             group.prepare(int(self._due.max()))
 

@@ -47,7 +47,7 @@ Built = tuple[Refined | NetPicture | SeenPicture, float]
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
-BESIDE, SHARE_BESIDE = 2.0, 0.5
+BESIDE, SHARE_BESIDE = 2.5, 0.5
 """Surfaces have twice their samples as long as their noise is so many times that of what is beside them, and
 their rays are no more than this part of those that were traced until then, most of them of fog and lasers."""
 
@@ -291,16 +291,28 @@ class _Render:
         """Give surfaces more samples where they cost little beside what fog and lasers took, and are most of
         the noise.
         """
-        settings, sampled = self._settings, self._plain if surfaces is None else surfaces
-        noise = self._noise(surfaces)
+        settings = self._settings
         beside = [picture.noise for picture, _ in parts if isinstance(picture, NetPicture | ScreenPicture)]
-        if not (noise and beside) or settings.integrator != "control_variates" or settings.noise_threshold:
+        if not beside or settings.integrator != "control_variates" or settings.noise_threshold:
             return
-        rays, others, times = sampled.rays, sum(self._counts.values()), 1
-        while noise > BESIDE * math.hypot(*beside) and 0 < rays * times <= SHARE_BESIDE * others:
-            noise, times = noise / 2**0.75, 2 * times
-        if times > 1:
-            sampled.take_more(times)
+        if surfaces is not None:
+            sampled, told = surfaces, surfaces.noise_of_halves(self._workers.map)
+        elif self._sampled_once:
+            sampled, told = self._plain, self._plain.noise_of_halves()
+        else:
+            return
+        rays, others = sampled.rays, sum(self._counts.values())
+
+        def times(noise: float) -> int:
+            many = 1
+            while noise > BESIDE * math.hypot(*beside) and 0 < rays * many <= SHARE_BESIDE * others:
+                noise, many = noise / 2**0.75, 2 * many
+            return many
+
+        # Of each half of a chessboard as the other half tells: samples that call for more are brighter than
+        # others, and stay.
+        if told:
+            sampled.take_more((times(told[1]), times(told[0])))
 
     def _brightness(self) -> tuple[np.ndarray, float]:
         """Radiance (H, W) of fog and lasers as built, and the mean of all but lamps; channels summed."""
@@ -449,15 +461,15 @@ class _Render:
             self._surface,
             self._camera.region[:2],
             self._plain.points,
-            self._plain.samples,
+            self._plain.of_halves,
             settings.batch_size,
             self._workers.check,
         )
         self._workers.expect(edges.samples)
 
-        def add(many: int, rows: np.ndarray) -> None:
-            self._count(edges.add(many, rows))
-            self._workers.advance((many - 1) * len(rows) * self._plain.samples)
+        def add(have: int, many: int, rows: np.ndarray) -> None:
+            self._count(edges.add(have, many, rows))
+            self._workers.advance(have * (many - 1) * len(rows))
 
         pending = {self._workers.submit(add, *one): None for one in edges.work}
         ended = self._workers.wait(

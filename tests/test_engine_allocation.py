@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from engine_core.integration.allocation import PART, drawn, sample_counts
+from engine_core.integration.allocation import PART, black_of_chessboard, drawn, sample_counts
 
 
 def test_little_chances_in_a_large_picture_are_kept():
@@ -41,3 +41,9 @@ def test_samples_are_counted_alike_on_any_workers():
         due = (0.9 * error / error.mean() + 0.1) * spent / len(error)
         wanted = due >= 1
         assert np.all(np.abs(np.log2(count[wanted] / due[wanted])) < 1.2)
+
+
+def test_a_chessboards_neighbours_have_other_colours():
+    black = black_of_chessboard((5, 4))
+    assert not black[0, 0]
+    assert (black[1:] != black[:-1]).all() and (black[:, 1:] != black[:, :-1]).all()

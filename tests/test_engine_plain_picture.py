@@ -10,20 +10,31 @@ import pytest
 from scenes import sphere, studio
 
 from engine_core import Material, Settings, Volume, World, render
-from engine_core.plain_picture import mean_deviation
+from engine_core.plain_picture import mean_deviations
 from engine_core.shading.closures import Emission
 
 
-def test_the_deviation_is_that_of_pixels_and_not_of_what_is_linear():
+@pytest.mark.parametrize("step", ((0, 1), (1, 1)))
+def test_the_deviation_is_that_of_pixels_and_not_of_what_is_linear(step: tuple[int, int]):
     random = np.random.default_rng(3)
     y, x = np.mgrid[:90, :170]
+    black = (x + y) % 2 != 0
     noise = random.normal(scale=0.2, size=y.shape)
     # Of three hundred samples and more in each of 66 blocks.
-    assert mean_deviation((5 + 0.3 * x - 0.1 * y + noise)[..., None] * [1, 1, 1]) == pytest.approx(
-        0.2, rel=0.03
-    )
-    assert mean_deviation((0.3 * x)[..., None] * [1, 2, 3]) < 1e-12
-    assert mean_deviation(np.ones((40, 2, 3))) is None
+    noisy = (5 + 0.3 * x - 0.1 * y + noise)[..., None] * [1, 1, 1]
+    assert mean_deviations(noisy, step, np.ones_like(black)) == pytest.approx([0.2], rel=0.03)
+    assert mean_deviations((0.3 * x)[..., None] * [1, 2, 3], step, ~black, black) < [1e-12, 1e-12]
+    assert mean_deviations(np.ones((40, 2, 3)), step, black[:40, :2]) == [None]
+
+
+def test_of_a_chessboard_each_half_is_told_by_itself():
+    y, x = np.mgrid[:90, :170]
+    black = (x + y) % 2 != 0
+    radiance = (np.random.default_rng(4).random(black.shape) * black)[..., None] * [1, 1, 1]
+    of_white, of_black = mean_deviations(radiance, (1, 1), ~black, black)
+    assert of_white == 0
+    assert of_black == pytest.approx(12**-0.5, rel=0.03)
+    assert mean_deviations(radiance, (1, 1), np.zeros_like(black)) == [None]
 
 
 def test_fog_has_fewer_points_where_plain_samples_of_surfaces_hide_its_noise():

@@ -231,3 +231,29 @@ def test_a_picture_lit_by_fog_alone() -> None:
     seen = render(dark, Settings(samples=16, threads=1)).combined[..., :3].mean(axis=(0, 1))
     assert (means[0] > 1.05 * seen).all()
     np.testing.assert_allclose(means[0], means[1], rtol=5e-3)
+
+
+@pytest.mark.parametrize("radius", (0.0, 0.2))
+def test_samples_that_call_for_more_are_no_brighter_than_others(radius: float) -> None:
+    """All noise is of one pixel, a quarter of which is lit: its first sample tells how many there are, and
+    stays in the picture. Of eighty pictures the mean was a quarter of the truth.
+    """
+    width, height = 7, 5
+    camera = Camera.look_at((0, 0, 5), (0, 0, 0), width, height, up=(0, 1, 0))
+    half = 0.5 * 4.99 * np.tan(0.35) / width
+    scene = Scene(
+        camera,
+        (floor(materials=0), floor(half, 0.01, materials=1)),
+        materials=(Material(0.0), Material(1.0)),
+        lights=(PointLight(100.0, radius=radius, position=(1, 0, 2)),),
+        volumes=(Volume(0.01),),
+        world=World(volume=0),
+    )
+    films = [render(scene, Settings(samples=1, seed=seed, threads=1)) for seed in range(80)]
+    assert max(film.sample_count.max() for film in films) > 1
+    found = np.array([film.layers[0].radiance[height // 2, width // 2, 0] for film in films], float)
+    square = 1 + 1.99**2
+    lit = 100 / (4 * np.pi) * 1.99 / square**1.5 / np.pi * np.exp(-0.01 * (4.99 + np.sqrt(square)))
+    error = found.std() / np.sqrt(len(found))
+    assert abs(found.mean() - lit / 4) < 3 * error
+    assert error < 0.3 * lit / 4

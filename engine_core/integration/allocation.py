@@ -87,6 +87,13 @@ def evenly_spread(bins: tuple[int, ...], one_in: float, seed: int) -> np.ndarray
     return place <= np.uint32(2**32 / one_in - 1)
 
 
+def black_of_chessboard(bins: tuple[int, ...]) -> np.ndarray:
+    """(*bins) bool. What is decided of the black ones by samples of the white ones, and the reverse, lets all
+    these samples be kept: counts that hang on a bin's own samples are biased.
+    """
+    return np.indices(bins).sum(axis=0) % 2 != 0
+
+
 def sample_counts(
     error: np.ndarray, samples: float, defensive: float, chance: float, map_: Map = in_order
 ) -> tuple[np.ndarray, np.ndarray]:

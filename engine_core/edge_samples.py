@@ -38,15 +38,18 @@ class EdgeSamples:
         have: tuple[int, int],
         batch: int,
         check: Callable[[], None],
+        leave: np.ndarray | None = None,
     ) -> None:
         """film : of means of ``points``. have : samples of a chessboard's white pixels, and of black ones.
 
         corner : x0, y0 in the frame. batch : samples at once, about. check : called before every batch; may
-        raise.
+        raise. leave : (H, W) bool, pixels that are to stay as they are.
         """
         self._integrand, self._film, self._corner, self._points = integrand, film, corner, points
         self._batch, self._check = batch, check
         contrast = contrast_beside(film.combined[..., :3].transpose(2, 0, 1)).sum(axis=0, dtype=np.float64)
+        if leave is not None:
+            contrast[leave] = 0
         self.work: list[tuple[int, int, np.ndarray]] = []
         black = black_of_chessboard(contrast.shape)
         for which, samples in zip((~black, black), have, strict=True):

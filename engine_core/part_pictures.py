@@ -15,7 +15,8 @@ from .integration.point_sets import SobolPoints, staged_points
 from .integration.sample_mean import sum_samples
 from .integration.sobol import hash_combine
 from .integration.standard_error import box_sums
-from .parts import AroundLights, Region, Seen, cell_of
+from .parts import AroundLights, Region, Seen, Targets, cell_of
+from .seen_through_lens import seen_through_lens
 from .settings import Settings
 from .transport.around_light import Block
 from .transport.camera_hits import Pixels
@@ -72,6 +73,34 @@ class SeenPicture:
 
         map_(draw, range(y0, y1, ROWS))
         if self._settings.terms:
+            layer.control_variate[:] = layer.radiance
+
+
+class TargetsPicture:
+    """What a lens sees of small things alone.
+
+    told, seconds, regions, nodes : as in `SeenPicture`.
+    """
+
+    told = "seen through parts of the lens"
+    regions = nodes = 0
+
+    def __init__(
+        self, by: Targets, settings: Settings, region: Region, layer: Layer, check: Callable[[], None]
+    ) -> None:
+        """region, check : as in `SeenPicture`."""
+        self._by, self._settings, self._region, self._layer, self._check = by, settings, region, layer, check
+        self.seconds: dict[str, float] = {}
+
+    def build(self, map_: Map, enough: Callable[[], bool]) -> None:
+        """As of `SeenPicture`."""
+        settings, layer, of_lens = self._settings, self._layer, self._by.of_lens()
+        at = of_lens, self._region, settings, settings.seed + 3
+        index, mean, error = seen_through_lens(self._by.first, *at, map_, enough, self._check)
+        layer.radiance.reshape(-1, 3)[index] = np.clip(mean, -LARGEST, LARGEST).T
+        if settings.standard_error:
+            layer.standard_error.reshape(-1, 3)[index] = np.minimum(error, LARGEST).T
+        if settings.terms:
             layer.control_variate[:] = layer.radiance
 
 

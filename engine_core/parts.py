@@ -15,7 +15,7 @@ import numpy as np
 from .geometry.vectors import dot, take
 from .image.film import LASER, VOLUME
 from .integration.inner_rules import InnerRule
-from .integration.integrand import StagedIntegrand
+from .integration.integrand import FirstStage, StagedIntegrand
 from .integration.mapping import Map
 from .integration.standard_error import box_sums
 from .scene import Scene
@@ -40,6 +40,7 @@ from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
 from .transport.lasers import Lasers, Stretch
+from .transport.lens_targets import LensTargets
 from .transport.light_choice_in_fog import FogChoice
 from .transport.light_clusters import CELL
 from .transport.line_integrals import BISECTIONS
@@ -142,6 +143,17 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
+class Targets:
+    """An integral over the pixel and a lens, of what is small behind that.
+
+    first : its radiance, as of `seen_through_lens`. of_lens : makes all that there is to see.
+    """
+
+    first: Callable[[Pixels, np.ndarray], FirstStage]
+    of_lens: Callable[[], LensTargets]
+
+
+@dataclass(frozen=True, eq=False)
 class OverScreen:
     """How a control variate over the screen alone serves an integral.
 
@@ -223,7 +235,7 @@ class Part:
     shows: str
     plain: StagedIntegrand
     split: int
-    by: OverScreen | OverNet | Seen | AroundLights | None
+    by: OverScreen | OverNet | Seen | Targets | AroundLights | None
 
     def counts(self) -> Counter[str]:
         """Rays by kind, and what was not finite, so far."""
@@ -490,7 +502,7 @@ def _with_lens(part: Part) -> Part:
     are seen as so many sharp pictures, whatever the noise.
     """
     by = part.by
-    if isinstance(by, AroundLights) and part.shows == VOLUME:
+    if isinstance(by, Targets) or isinstance(by, AroundLights) and part.shows == VOLUME:
         return part
     if not isinstance(by, OverNet):
         return replace(part, by=None)
@@ -659,7 +671,9 @@ def _of_lasers(
         )
         parts.append(Part("lasers on surfaces", LASER, lit, 1, by))
     seen = LasersSeen(lasers, stage.rays, stage, reflection, shadows, scattering, check)
-    if seen.stretches or seen.spots:
+    if (seen.stretches or seen.spots) and seen.screen_dimensions > 2:
+        parts.append(Part("lasers seen", LASER, seen, 1, Targets(seen.first, seen.targets)))
+    elif seen.stretches or seen.spots:
         kinds = [{"spots": spots} for spots in (False, True)]
         touched, means = (tuple(partial(f, **kind) for kind in kinds) for f in (seen.touched, seen.means))
         more = (settings.samples - 1).bit_length()

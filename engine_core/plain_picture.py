@@ -19,7 +19,7 @@ from .integration.standard_error import Spread, standard_error
 from .parts import Part
 from .scene import Camera
 from .settings import Settings
-from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels
+from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels, SomePixels
 from .transport.light_choice import EveryLight, LightChoice
 from .transport.light_clusters import CELL
 
@@ -84,8 +84,8 @@ class PlainPicture:
 
     tiles : from the middle of the picture outwards. samples : of each pixel, at most. of_halves : those of a
         chessboard's white and black ones. points : of surfaces.
-    counts : rays by kind, and what was not finite. seen : (2, 3, W, H) of `directly_seen`, None where samples
-        see for themselves.
+    counts : rays by kind, and what was not finite. seen : (2, 3, W, H) of what is seen directly, None where
+        samples see for themselves; and ``seen_in`` (H, W) bool, pixels where they do not, None for all.
     """
 
     def __init__(
@@ -129,6 +129,15 @@ class PlainPicture:
         self.counts: Counter[str] = Counter()
         self._counting = Lock()
         self.seen: np.ndarray | None = None
+        self.seen_in: np.ndarray | None = None
+
+    def see(self, index: np.ndarray, mean: np.ndarray, error: np.ndarray) -> None:
+        """Take what pixels see directly from elsewhere; arguments as what `seen_through_lens` returns."""
+        height, width = shape = self._film.depth.shape
+        self.seen, self.seen_in = np.zeros((2, 3, width, height)), np.zeros(shape, bool)
+        self.seen_in.reshape(-1)[index] = True
+        row, column = np.divmod(index, width)
+        self.seen[:, :, column, row] = mean, error
 
     def take_more(self, times: tuple[int, int]) -> None:
         """So many times the samples, of a chessboard's white and black pixels."""
@@ -188,13 +197,33 @@ class PlainPicture:
         pixels = tile.pixels()
         if not self._active[tile.blocks()].all():
             pixels = pixels[self._active[pixels.y // BLOCK, pixels.x // BLOCK]]
-        if start >= min(self.of_halves):
+        halves = [(pixels, count)]
+        if start + count > min(self.of_halves):
             black = (pixels.x + pixels.y - sum(self._corner)) % 2 != 0
-            pixels = pixels[black == (self.of_halves[1] > start)]
+            left = [min(count, of_half - start) for of_half in self.of_halves]
+            halves = [(pixels[which], some) for which, some in zip((~black, black), left, strict=True)]
         choice = tile.choice or self._integrand.choice_of_cells(*tile.cells(), self._check)
         if self._keep_choices:
             tile.choice = choice
-        integrand = DirectLightOverTile(self._integrand, choice, self._check, seen=self.seen is None)
+        sees, elsewhere = self.seen is None, None
+        if self.seen_in is not None:
+            sees, elsewhere = True, SomePixels(self.seen_in, self._corner)
+        integrand = DirectLightOverTile(self._integrand, choice, self._check, sees, elsewhere=elsewhere)
+        for some, due in halves:
+            if len(some) and due > 0:
+                self._add(integrand, some, start, due, done)
+        with self._counting:
+            self.counts.update(integrand.counts)
+
+    def _add(
+        self,
+        integrand: DirectLightOverTile,
+        pixels: Pixels,
+        start: int,
+        count: int,
+        done: Callable[[int], None],
+    ) -> None:
+        """`sample` some of a tile's pixels."""
         column, row = pixels.x - self._corner[0], pixels.y - self._corner[1]
         film = self._film
 
@@ -237,8 +266,6 @@ class PlainPicture:
             old = film.normal[row, column].T
             film.normal[row, column] = (old + (mean[4:7] - old) * share).T
         film.sample_count[row, column] = start + count
-        with self._counting:
-            self.counts.update(integrand.counts)
         for (part, layer), points in zip(self._parts, self._part_points, strict=True):
             self._sample_part(part, layer, points, pixels, row, column, start, count)
 

@@ -20,20 +20,23 @@ from .errors import RenderError
 from .image.film import FAR, Film
 from .integration.mapping import Map
 from .net_picture import NetPicture
-from .part_pictures import AroundLightsPicture, SeenPicture
-from .parts import AroundLights, OverNet, OverScreen, Seen, parts_of
+from .part_pictures import AroundLightsPicture, SeenPicture, TargetsPicture
+from .parts import AroundLights, OverNet, OverScreen, Seen, Targets, parts_of
 from .plain_picture import PlainPicture, Tile
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
 from .screen_picture import ScreenPicture
+from .seen_through_lens import seen_through_lens
 from .settings import Settings
 from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile
+from .transport.lens_targets import LensTargets
 from .workers import Nobody, Sink, Workers
 
 PICTURES = {
     OverScreen: ScreenPicture,
     OverNet: NetPicture,
     Seen: SeenPicture,
+    Targets: TargetsPicture,
     AroundLights: AroundLightsPicture,
 }
 """What makes a part's layer."""
@@ -41,13 +44,13 @@ PICTURES = {
 Refined = ScreenPicture | AroundLightsPicture
 """Of these, what samples are taken of when all are built."""
 
-Built = tuple[Refined | NetPicture | SeenPicture, float]
+Built = tuple[Refined | NetPicture | SeenPicture | TargetsPicture, float]
 """A part's picture, and the seconds that it took to build."""
 
 FEW_LIGHTS = 32
 """Up to which a choice among them costs nothing, so that surfaces may be looked at before."""
 
-BESIDE, SHARE_BESIDE = 2.5, 0.5
+BESIDE, SHARE_BESIDE = 2.0, 0.5
 """Surfaces have twice their samples as long as their noise is so many times that of what is beside them, and
 their rays are no more than this part of those that were traced until then, most of them of fog and lasers."""
 
@@ -399,22 +402,27 @@ class _Render:
 
     def _see(self) -> str | None:
         """Integrate apart what camera rays see by themselves, if lamps may be among it: returns why it was
-        stopped, if it was. A lens would be two dimensions more.
+        stopped, if it was.
         """
         integrand, (x0, y0, x1, y1) = self._integrand, self._camera.region
-        by_control_variates = self._settings.integrator == "control_variates"
-        if not by_control_variates or integrand.screen_dimensions > 2 or not integrand.sees:
-            return None
-        if not integrand.stage.images_of_lights((x0, y0, x1 - x0, y1 - y0)).any():
+        if self._settings.integrator != "control_variates" or not integrand.sees:
             return None
         eye = DirectLightOverTile(integrand, None, self._workers.check, reflects=False)
+        lens, window = integrand.screen_dimensions > 2, (x0, y0, x1 - x0, y1 - y0)
+        if not (lens or integrand.stage.images_of_lights(window).any()):
+            return None
 
-        def build(map_: Map, enough: Callable[[], bool]) -> np.ndarray:
-            return directly_seen(eye, integrand.stage, (x0, y0, x1, y1), self._settings, map_)
+        def build(map_: Map, enough: Callable[[], bool]) -> None:
+            settings, region, check = self._settings, self._camera.region, self._workers.check
+            if not lens:
+                self._plain.seen = directly_seen(eye, integrand.stage, region, settings, map_)
+            elif len(targets := LensTargets.of_lamps(integrand.stage)):
+                at = targets, region, settings, settings.seed + 1
+                self._plain.see(*seen_through_lens(eye.first, *at, map_, enough, check))
 
         outcome, ended = self._workers.drive(build, "Looking at lamps")
         if not ended:
-            self._plain.seen = outcome.result()
+            outcome.result()
         self._count(eye)
         return ended
 
@@ -464,6 +472,7 @@ class _Render:
             self._plain.of_halves,
             settings.batch_size,
             self._workers.check,
+            self._plain.seen_in,
         )
         self._workers.expect(edges.samples)
 
@@ -482,7 +491,8 @@ class _Render:
         plain, samples, workers = self._plain, self._plain.samples, self._workers
         plain.prepare(start + count)
         pixels = sum(int((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) for tile in tiles)
-        workers.expect(pixels * count)
+        of_halves = (min(count, max(of_half - start, 0)) for of_half in plain.of_halves)
+        workers.expect(pixels * sum(of_halves) // 2)
         share = count / samples if share is None else share
         pending = {workers.submit(plain.sample, tile, start, count, workers.advance): tile for tile in tiles}
 

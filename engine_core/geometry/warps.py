@@ -76,6 +76,13 @@ def square_of_polygon(
     return (number + root * root) / corners, v
 
 
+def in_regular_polygon(corners: int, rotation: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether points are in that of `regular_polygon`."""
+    sector = 2 * np.pi / corners
+    middle = rotation + np.rint((np.arctan2(y, x) - rotation) / sector) * sector
+    return x * np.cos(middle) + y * np.sin(middle) <= np.cos(sector / 2)
+
+
 def about_angle(u: np.ndarray, middle: float, half: float, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parts of a circle at u, ``part`` within an angle ``half`` of its ``middle``; and 1 / density."""
     wide = half / np.pi

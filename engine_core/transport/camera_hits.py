@@ -50,6 +50,18 @@ class Pixels:
         return Pixels(self.x[part], self.y[part], self.cell[part])
 
 
+@dataclass(frozen=True, eq=False)
+class SomePixels:
+    """Some of the pixels of a region. which : (H, W) bool. corner : x0, y0 in the whole frame."""
+
+    which: np.ndarray
+    corner: tuple[int, int]
+
+    def holds(self, pixels: Pixels) -> np.ndarray:
+        """(B,) bool."""
+        return self.which[pixels.y - self.corner[1], pixels.x - self.corner[0]]
+
+
 @dataclass(eq=False)
 class CameraHits:
     """The first stage's result for B x S camera rays.
@@ -207,6 +219,16 @@ class CameraStage:
             return None
         holdout = np.broadcast_to(self._surfaces.triangles.holdout, len(self._surfaces.triangles))
         return holdout[points.triangle]
+
+    def visible_lamps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Centres (3, L) of lights at a finite distance that may be seen; radii (L,) of balls about these."""
+        centre, reach = [np.zeros((3, 0))], [np.zeros(0)]
+        for group in self._emitters:
+            if group.centre is not None and (group.any_visible or group.is_mesh):
+                which = slice(None) if group.is_mesh else group.visible
+                centre.append(group.centre[:, which])
+                reach.append(group.reach[which])
+        return np.concatenate(centre, axis=1), np.concatenate(reach)
 
     def images_of_lights(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """(W, H) bool, pixels in which a light at a finite distance may be seen: boxes about them.

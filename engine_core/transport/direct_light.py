@@ -28,7 +28,7 @@ from ..geometry.triangles import gather_triangles
 from ..geometry.vectors import dot, inverse_length, take
 from ..scene import Scene
 from ..shading.terms import LARGEST
-from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels
+from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels, SomePixels
 from .emitters import emitter_groups
 from .glow_on_surfaces import GlowDirections
 from .highlights import Highlights
@@ -62,6 +62,7 @@ __all__ = [
     "DirectLightOverTile",
     "Pixels",
     "Reflected",
+    "SomePixels",
 ]
 
 
@@ -487,6 +488,7 @@ class DirectLightOverTile:
 
     check : called before every batch; may raise, to give up.
     seen, reflects : whether radiance is that of what is seen by itself, and of what is reflected.
+    elsewhere : pixels of which what is seen by itself is left out all the same.
     counts : so far, rays by kind and what was not finite.
     """
 
@@ -499,10 +501,11 @@ class DirectLightOverTile:
         check: Callable[[], None] = lambda: None,
         seen: bool = True,
         reflects: bool = True,
+        elsewhere: SomePixels | None = None,
     ) -> None:
         self._integrand = integrand
         self._choice = choice
-        self._seen, self._reflects = seen, reflects
+        self._seen, self._reflects, self._elsewhere = seen, reflects, elsewhere
         self._check = check
         self.rest_dimensions = 2 if isinstance(choice, EveryLight) else integrand.rest_dimensions
         self._counting = Lock()
@@ -516,6 +519,9 @@ class DirectLightOverTile:
             self.counts[CROSSING] += hits.crossings
         if self._seen:
             _bound(hits.values[RGB])
+            if self._elsewhere is not None:
+                left_out = self._elsewhere.holds(pixels)
+                hits.values[RGB].reshape(3, len(pixels), -1)[:, left_out] = 0
         else:
             hits.values[RGB] = 0
         return hits

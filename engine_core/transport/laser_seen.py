@@ -32,11 +32,17 @@ from .fog_rays import FogRays
 from .laser_in_fog import RaySegments
 from .laser_on_surfaces import Reflection, Towards
 from .lasers import THINNEST, Beam, Lasers, Stretch, halves, scattered, unblocked
+from .lens_targets import LensTargets
 from .shadows import Shadows
 from .single_scattering import SingleScattering
 
 WIDE = 1.0
 """Pixels, above which a cylinder's image is sampled as all else is."""
+
+
+SPOT_WORTH = 8.0
+"""Times as many points as beams, of a pixel that sees where one ends, through a lens: that is brighter by
+far, and may be far smaller than what a pixel sees of it."""
 
 
 @dataclass(eq=False)
@@ -134,6 +140,15 @@ class LasersSeen:
         lane = at if points.lane is None else points.lane.take(at)
         for row, channel in zip(out, value, strict=True):
             row += np.bincount(lane, channel, len(row))
+
+    def targets(self) -> LensTargets:
+        """All of it, of a lens: the beams, and where their light is known to meet surfaces, or may do so."""
+        rods = [(s.start, s.direction, s.length, s.radius, 1.0) for s in self.stretches]
+        rods += [(b.origin, b.direction, b.length, b.radius, 0.0) for b in self.spots]
+        ends = [(end, beam.radius) for beam in self.spots for end in beam.ends]
+        middle = np.array([end.mean(axis=1) for end, _ in ends]).reshape(-1, 3).T
+        reach = [np.linalg.norm(end.T - end.mean(axis=1), axis=1).max() + radius for end, radius in ends]
+        return LensTargets.of(self._rays, (middle, np.array(reach), SPOT_WORTH), rods)
 
     # -- over pixels -------------------------------------------------------------------------------
 

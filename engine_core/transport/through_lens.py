@@ -40,7 +40,7 @@ def beside_images(
     with np.errstate(invalid="ignore", over="ignore"):
         radius, own = HALF_WIDTH + blur * scale, reach * scale
         seen = (depth > rays.clip_start) & (own <= HALF_WIDTH) & (np.abs(image) < FARTHEST).all(axis=0)
-    for (x, y), far in zip(image[:, seen].T, np.minimum(radius[seen], FARTHEST), strict=True):
+    for (x, y), far in zip(image[:, seen].T, np.fmin(radius[seen], FARTHEST), strict=True):
         part = tuple(
             slice(int(np.clip(at - far, low, high)) - low, int(np.clip(at + far + 1, low, high)) - low)
             for at, low, high in ((x, x0, x1), (y, y0, y1))

@@ -93,7 +93,7 @@ class TargetsPicture:
         self.seconds: dict[str, float] = {}
 
     def build(self, map_: Map, enough: Callable[[], bool]) -> None:
-        """As of `SeenPicture`."""
+        """Draw all of it. map_ : as of `SeenPicture`. enough : whether to make do with the first points."""
         settings, layer, of_lens = self._settings, self._layer, self._by.of_lens()
         at = of_lens, self._region, settings, settings.seed + 3
         index, mean, error = seen_through_lens(self._by.first, *at, map_, enough, self._check)

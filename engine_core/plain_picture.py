@@ -298,7 +298,8 @@ class PlainPicture:
         picture too narrow for that.
         """
         radiance = self._reflected()
-        (deviation,) = mean_deviations(radiance, (0, 1), np.ones(radiance.shape[:2], bool))
+        everywhere = np.ones(radiance.shape[:2], bool)
+        (deviation,) = mean_deviations(radiance, (0, 1), everywhere, sides=self.seen_in)
         return None if deviation is None else deviation / self.samples**0.75
 
     def noise_of_halves(self) -> tuple[float, float] | None:
@@ -306,13 +307,13 @@ class PlainPicture:
         radiance = self._reflected()
         # Neighbours at the corners are of one colour.
         black = black_of_chessboard(radiance.shape[:2])
-        white, black = mean_deviations(radiance, (1, 1), ~black, black)
+        white, black = mean_deviations(radiance, (1, 1), ~black, black, sides=self.seen_in)
         if white is None or black is None:
             return None
         return white / self.samples**0.75, black / self.samples**0.75
 
     def _reflected(self) -> np.ndarray:
-        """(H, W, 3) as it is, without what camera rays see by themselves."""
+        """(H, W, 3) as it is, without what camera rays see by themselves where that is known."""
         radiance = self._film.combined[..., :3]
         return radiance if self.seen is None else radiance - self.seen[0].transpose(2, 1, 0)
 
@@ -341,19 +342,26 @@ class PlainPicture:
     def finish(self) -> None:
         """Fill the film's standard error, from the halves of what every pixel got in its last whole pass."""
         count = self._film.sample_count
+        # One half of a chessboard may have more than the other.
+        of_pixel = (
+            np.where(black_of_chessboard(count.shape), *self.of_halves[::-1]) * 2 // min(self.of_halves)
+        )
         error = standard_error(
-            self._spread, np.minimum(count.ravel(), 2), count.shape, independent=True
+            self._spread, np.minimum(count, of_pixel).ravel(), count.shape, independent=True
         ).reshape(3, *count.shape)
         if self.seen is not None:
             error = np.hypot(error, self.seen[1].transpose(0, 2, 1))
         self._film.standard_error[:] = np.minimum(error, LARGEST).transpose(1, 2, 0)
 
 
-def mean_deviations(radiance: np.ndarray, step: tuple[int, int], *which: np.ndarray) -> list[float | None]:
+def mean_deviations(
+    radiance: np.ndarray, step: tuple[int, int], *which: np.ndarray, sides: np.ndarray | None = None
+) -> list[float | None]:
     """Of a pixel's channel in radiance (H, W, 3), by how much each differs from the mean of those a ``step``
     of rows and columns before and after; of blocks, the root of the mean square, so that rare specks count.
 
     which : (H, W) bool, pixels that count, each time. None where there are none, or none has such neighbours.
+    sides : (H, W) bool, between which none are compared.
 
     What is linear makes none; sharper detail counts as if it were noise.
     """
@@ -362,13 +370,17 @@ def mean_deviations(radiance: np.ndarray, step: tuple[int, int], *which: np.ndar
     if height <= 0 or width <= 0:
         return [None] * len(which)
 
-    def moved(times: int) -> np.ndarray:
-        return radiance[times * down :, times * right :][:height, :width]
+    def moved(times: int, of: np.ndarray = radiance) -> np.ndarray:
+        return of[times * down :, times * right :][:height, :width]
 
     apart = np.abs(moved(0) - 2 * moved(1) + moved(2)).sum(axis=2, dtype=np.float64)
     # Of three independent samples a - 2 b + c has six times the variance.
     square = np.square(apart) / 6
-    return [_mean_of_blocks(square, some[down : down + height, right : right + width]) for some in which]
+    middle = [some[down : down + height, right : right + width] for some in which]
+    if sides is not None:
+        before, here, behind = (moved(times, sides) for times in range(3))
+        middle = [some & (before == here) & (here == behind) for some in middle]
+    return [_mean_of_blocks(square, some) for some in middle]
 
 
 def _mean_of_blocks(square: np.ndarray, which: np.ndarray) -> float | None:

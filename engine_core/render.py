@@ -423,7 +423,8 @@ class _Render:
         outcome, ended = self._workers.drive(build, "Looking at lamps")
         if not ended:
             outcome.result()
-        self._count(eye)
+        # Many points through a lens are not of what fog took, by which surfaces have more samples.
+        (self._plain.counts if lens else self._counts).update(eye.counts)
         return ended
 
     def _begin_plain(self, share: float | None = None) -> str | None:

@@ -16,7 +16,7 @@ from .settings import Settings
 from .transport.camera_hits import Pixels
 from .transport.lens_targets import LensTargets
 
-POINTS, MOST_POINTS = (2, 64), 1 << 14
+POINTS, MOST_POINTS = 64, 1 << 14
 """Of a pixel that sees one target of which one is worth a point, in a picture of one sample: so many, if
 `POINTS_OF_ALL` allows; of more targets as many times as many. And of a pixel where much is expected."""
 
@@ -63,10 +63,10 @@ def seen_through_lens(
     # Of a point with one target, and as many more as there are targets.
     wanted = seers.worth * (1 + seers.count) / 2
     cost = float((wanted * (1 + seers.count / TARGETS)).sum())
-    each = np.clip(POINTS_OF_ALL * (x1 - x0) * (y1 - y0) / max(cost, 1), *POINTS)
+    each = min(POINTS_OF_ALL * (x1 - x0) * (y1 - y0) / max(cost, 1), POINTS)
     log = GROWTH * (samples - 1).bit_length() + np.log2(each * np.maximum(wanted, 1))
     counts = np.exp2(np.clip(np.rint(log), 1, np.log2(MOST_POINTS))).astype(np.int64)
-    counts[seers.worth == 0] = min(1 << (samples - 1).bit_length(), MOST_POINTS)
+    counts[seers.worth == 0] = min(max(1 << (samples - 1).bit_length(), 2), MOST_POINTS)
     points, batch = SobolPoints(range(4), seed, 109), settings.batch_size
     total, square = np.zeros((3, len(seers))), np.zeros(len(seers))
 

@@ -130,6 +130,23 @@ def test_no_pixel_that_sees_a_target_is_missed(made: Any, lens: dict[str, Any]) 
     assert found > 200
 
 
+def test_no_column_next_to_a_near_balls_rim_is_missed() -> None:
+    rays = CameraRays(camera(1920, 1280, aperture=0.1), FRAME)
+    targets = LensTargets.of(rays, (np.array([[0.0], [0.3], [0.0]]), np.array([0.01]), 1.0))
+    x = np.arange(1920)
+    u = np.random.default_rng(5).random((4, len(x), 256), np.float32)
+    # Their lowest and highest points of the lens, along the row.
+    u[2:] = rays.square_of_lens(np.stack([np.sign(u[2] - 0.5), 0 * u[3]]) * 0.999999)[0]
+    origins, directions = (a.T.astype(float) for a in rays.rays(x, np.full(1920, 640), u))
+    directions /= np.linalg.norm(directions, axis=0)
+    gap = gap_to_rod(origins, directions, *(a[:, 0] for a in (targets._start, targets._end)))
+    near = (gap < 0.01).reshape(1920, -1).any(axis=1)
+    seen = np.zeros(1920, bool)
+    seen[targets.seers((0, 640, 1920, 641)).index] = True
+    assert near.sum() > 200
+    assert not (near & ~seen).any()
+
+
 def gap_to_rod(origins: np.ndarray, directions: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """(N,) least distances of rays (3, N), of unit directions, from a rod's axis."""
     axis, away = end - start, origins - start[:, None]

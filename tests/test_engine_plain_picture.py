@@ -35,6 +35,12 @@ def test_of_a_chessboard_each_half_is_told_by_itself():
     assert of_white == 0
     assert of_black == pytest.approx(12**-0.5, rel=0.03)
     assert mean_deviations(radiance, (1, 1), np.zeros_like(black)) == [None]
+    # A step between sides is no noise.
+    side = x > 80
+    stepped = (side * 5.0)[..., None] * [1, 1, 1]
+    for step in ((0, 1), (1, 1)):
+        assert mean_deviations(stepped, step, ~black, black, sides=side) == [0, 0]
+        assert min(mean_deviations(stepped, step, ~black, black)) > 0.05
 
 
 def test_fog_has_fewer_points_where_plain_samples_of_surfaces_hide_its_noise():

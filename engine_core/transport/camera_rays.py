@@ -143,11 +143,13 @@ class CameraRays:
 
     def _slant(self, positions: np.ndarray) -> np.ndarray:
         """(L,) 1 / cos of the angle beside the view axis at which positions (3, L) are seen, at most."""
-        slope = self._lens[0] * max(self._narrowing, 1) / self._focus
+        lens = self._lens[0] * max(self._narrowing, 1)
         if self._perspective:
-            depth = self.depth(positions)
+            depth = np.maximum(self.depth(positions), 1e-30)
             beside = np.square(positions).sum(axis=0) - np.square(depth)
-            slope = slope + np.sqrt(np.maximum(beside, 0)) / np.maximum(depth, 1e-30)
+            slope = lens / np.minimum(depth, self._focus) + np.sqrt(np.maximum(beside, 0)) / depth
+        else:
+            slope = lens / self._focus
         return np.sqrt(1 + np.square(slope)) * np.ones(positions.shape[1])
 
     def stations(self, start: np.ndarray, direction: np.ndarray, length: float, radius: float) -> np.ndarray:
@@ -161,7 +163,9 @@ class CameraRays:
         length = min(length, LINE * size)
         near = self.clip_start - radius
         doubled = size * 0.5 ** np.arange(-LINE_DOUBLINGS, LINE_DOUBLINGS)
-        depth = self._focus * (1 + np.append(0, np.outer((-1, 1), 0.5 ** np.arange(1, 1 + DOUBLINGS))))
+        depth = self._focus * (
+            1 + np.append(0, np.outer((-1, 1), 0.5 ** np.arange(-LINE_DOUBLINGS, 1 + DOUBLINGS)))
+        )
         apart = np.zeros(0)
         if self._perspective:
             depth = np.append(depth, doubled)

@@ -41,9 +41,9 @@ LEAST_HALF = 1e-7
 """Radii of the lens, below which points of a part are not known in float32."""
 
 SMALL = 16.0
-"""Pixels, up to which a lamp is small, however sharp."""
+"""Pixels of its radius, up to which a lamp is small, however sharp."""
 
-STRIP = 32
+STRIP = 16
 """Columns that are looked at together."""
 
 
@@ -51,8 +51,9 @@ STRIP = 32
 class Seers:
     """Which of B pixels see which targets through parts of the lens.
 
-    index : (B,) of pixels, column * rows + row, ascending. first : (B + 1,) where those of each begin in
-    target : (K,) numbers. worth : (B,) how many points it is
+    index : (B,) of pixels, column * rows + row, ascending. target : (K,) numbers of those that they see, one
+        pixel's after another's, which begin at first : (B + 1,).
+    worth : (B,) how many points it is
     worth to look at that, 0 if hardly any; relative to one another.
     """
 

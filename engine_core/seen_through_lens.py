@@ -120,6 +120,7 @@ def _wanted(deviation: np.ndarray, column: np.ndarray, row: np.ndarray, have: np
     wanted = have.copy()
     # As of a chessboard: what a pixel's own points tell has no say in how many there are.
     for which in ((column + row) % 2 == 0, (column + row) % 2 != 0):
+        # Errors fall as points^-3/4: the sum of their squares is least by deviation^.8 points each.
         expected = beside[which] ** 0.4
         if expected.any():
             budget = (1 + MORE) * have[which].sum()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ from engine_core import (
     render,
 )
 from engine_core.geometry.frame import Frame
-from engine_core.seen_through_lens import _wanted
+from engine_core.integration.mapping import in_order
+from engine_core.seen_through_lens import _wanted, seen_through_lens
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.camera_rays import CameraRays
 from engine_core.transport.lens_targets import LensTargets
@@ -308,12 +310,21 @@ def test_no_lens_is_too_extreme(made: Any, lens: dict[str, Any]) -> None:
         assert np.isfinite(values).all()
 
 
-def test_a_limit_of_time_holds_for_lamps_too() -> None:
-    scene = Scene(
-        camera(48, 32),
-        (floor(8),),
-        lights=[PointLight(5, position=(x, 9, 1), radius=0.03, visible_to_camera=True) for x in (-1, 0, 1)],
-    )
-    film = render(scene, Settings(1 << 14, time_limit=0.5, threads=2))
-    assert film.stopped_by == "time"
-    assert film.statistics["camera rays"] < 600 * film.depth.size
+@pytest.mark.parametrize("limit", ({"time_limit": 1.0}, {"noise_threshold": 0.01}))
+def test_where_samples_may_end_early_lamps_do_not_take_those_of_all(limit: dict[str, float]) -> None:
+    rays = CameraRays(camera(48, 32), FRAME)
+    targets = LensTargets.of(rays, (np.array([[-1.0, 0, 1], [9.0] * 3, [0.0] * 3]), np.full(3, 0.03), 4.0))
+
+    def points(settings: Settings) -> int:
+        spent = 0
+
+        def first(pixels: Pixels, u: np.ndarray) -> SimpleNamespace:
+            nonlocal spent
+            spent += u[0].size
+            return SimpleNamespace(values=np.ones((3, u[0].size)))
+
+        region = 0, 0, 48, 32
+        seen_through_lens(first, targets, region, settings, 1, in_order, lambda: True, lambda: None)
+        return spent
+
+    assert points(Settings(1 << 12, **limit)) == points(Settings(16)) < points(Settings(1 << 12)) / 8

@@ -3,7 +3,8 @@
 
 From the place where a pixel's rays are in focus, a target is seen through a part of the lens that is as much
 smaller than the lens as the target's blur is wider than itself. Points of the whole lens hardly find it: most
-of a pixel's are of these parts, the rest of all the lens, and all have one density, that of the mixture.
+of a pixel's are of these parts, the rest of all the lens, and all have one density, that of the mixture: the
+balance heuristic of E. Veach and L. Guibas, "Optimally Combining Sampling Techniques", 1995.
 """
 
 from __future__ import annotations
@@ -53,8 +54,7 @@ class Seers:
 
     index : (B,) of pixels, column * rows + row, ascending. target : (K,) numbers of those that they see, one
         pixel's after another's, which begin at first : (B + 1,).
-    worth : (B,) how many points it is
-    worth to look at that, 0 if hardly any; relative to one another.
+    worth : (B,) how many points what they see is worth, relative to one another; 0 if hardly any.
     """
 
     index: np.ndarray
@@ -245,7 +245,9 @@ class LensTargets:
 
 
 def _together(rays: CameraRays, centre: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Balls about balls (3, L), (L,) that touch, where these are still seen through a part of the lens."""
+    """Centres (3, L) and radii (L,) of balls, but one ball about all that touch, where that is seen through a
+    part of the lens as well.
+    """
     apart = np.linalg.norm(centre[:, :, None] - centre[:, None], axis=0)
     touch = apart <= radius[:, None] + radius
     group, before = np.arange(len(radius)), None

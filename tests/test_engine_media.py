@@ -315,17 +315,47 @@ def test_mixtures_add_up_their_phase_functions() -> None:
 def test_many_bodies() -> None:
     """More than the tables of all sets hold, and more than there may be."""
     count = DIRECT + 8
+    density = 0.01 * np.arange(1, count + 1)
     boxes = [
-        box((-1, -1, 2 * i), (1, 1, 2 * i + 3), volume=0) for i in range(count)
+        box((-1, -1, 2 * i), (1, 1, 2 * i + 3), volume=i) for i in range(count)
     ]  # each overlaps the next
-    media = media_of(*boxes, volumes=(Volume(0.01),))
+    media = media_of(*boxes, volumes=[Volume(float(one)) for one in density])
+    assert media.bodies == count
     ray = np.array([[0.1, 0.2, -1]], np.float32), np.array([[0, 0, 1]], np.float32)
     along = media.along(*ray, np.inf)
-    assert along.total == pytest.approx(0.03 * count)
-    assert len(along.ray) == 2 * count - 1
-    np.testing.assert_allclose(media.extinction[0, along.mixture], np.tile([0.01, 0.02], count)[:-1])
-    with pytest.raises(RenderError, match="64 meshes enclose a volume"):
-        media_of(*64 * [boxes[0]], volumes=(Volume(0.01),))
+    assert along.total == pytest.approx(3 * density.sum())
+    expected = np.stack([density, density + np.append(density[1:], 0)]).T.ravel()[:-1]
+    np.testing.assert_allclose(media.extinction[0, along.mixture], expected)
+    with pytest.raises(RenderError, match="64 meshes enclose volumes, of which 64 are"):
+        media_of(*64 * [boxes[0]], volumes=[Volume(0.01)] * count)
+
+
+@pytest.mark.parametrize("leaky", (False, True))
+def test_bodies_of_one_fog_that_keep_clear_are_joined(leaky: bool) -> None:
+    """Of 90, inside out or not, round, ringed, boxes or open, some in others: each dims as it does alone."""
+    rng = np.random.default_rng(21)
+    volumes = Volume(0.3), Volume(0.7), Volume(0.3, name="another of the same")
+    meshes = []
+    for i in range(90):
+        shape = torus(0.3, 0.1) if i % 3 == 0 else sphere((0, 0, 0), 0.3) if i % 3 == 1 else box()
+        vertices = shape.vertices * rng.uniform(0.3, 1, 3) + rng.uniform(-2, 2, 3)
+        triangles = shape.triangles[:, ::-1] if i % 5 == 0 else shape.triangles
+        meshes.append(Mesh(vertices, triangles[2:] if leaky and i % 30 == 29 else triangles, volume=i % 3))
+    together, alone = media_of(*meshes, volumes=volumes), [media_of(mesh, volumes=volumes) for mesh in meshes]
+    assert 4 < together.bodies < 40
+    origins, directions = rays(3000, 22, 4.0)
+    depth = sum(media.optical_depth(origins, directions, 1.5) for media in alone)
+    assert (depth > 0).sum() > 1000
+    np.testing.assert_allclose(together.optical_depth(origins, directions, 1.5), depth, atol=2e-5)
+    along = together.along(origins, directions, 1.5)
+    np.testing.assert_allclose(along.total, depth, atol=2e-5)
+    if not leaky:
+        # Rays go on in what they ended in.
+        ends = (origins + 1.5 * directions).astype(np.float32)
+        depth = sum(media.optical_depth(ends, directions, 0.5) for media in alone)
+        np.testing.assert_allclose(
+            together.optical_depth(ends, directions, 0.5, along.state), depth, atol=2e-5
+        )
 
 
 @pytest.mark.parametrize("far", (0.0, 1.0, 300.0))

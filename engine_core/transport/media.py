@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import RenderError
 from ..geometry.boundaries import MOST, Boundaries
 from ..geometry.frame import Frame
+from ..geometry.joined_bodies import joined
 from ..geometry.vectors import take
 from ..scene import Scene, Volume
 from ..shading.terms import LARGEST
@@ -104,12 +105,21 @@ class Media:
         everywhere = volume_of(scene.world.volume)
         if not meshes and everywhere is None:
             return None
-        if len(meshes) > MOST:
+        bodies = [(frame.positions(mesh.vertices), mesh.triangles) for mesh in meshes]
+        volumes = [volume_of(mesh.volume) for mesh in meshes]
+        if len(bodies) > MOST:
+            # Rays are traced through them longer than through as many that are apart.
+            alike: dict[tuple, int] = {}
+            kinds = [alike.setdefault(_content(volume), len(alike)) for volume in volumes]
+            of_kind = dict(zip(kinds, volumes, strict=True))
+            bodies, kinds = joined(bodies, kinds)
+            volumes = [of_kind[kind] for kind in kinds]
+        if len(bodies) > MOST:
             raise RenderError(
-                f"{len(meshes)} meshes enclose a volume, more than {MOST}; join those that do not overlap"
+                f"{len(meshes)} meshes enclose volumes, of which {len(bodies)} are unlike others or overlap "
+                f"some, more than {MOST}: give them fewer different volumes, or join those that overlap"
             )
-        boundaries = Boundaries([(frame.positions(mesh.vertices), mesh.triangles) for mesh in meshes])
-        return Media(boundaries, [volume_of(mesh.volume) for mesh in meshes], everywhere, frame.scale)
+        return Media(Boundaries(bodies), volumes, everywhere, frame.scale)
 
     # -- tables ------------------------------------------------------------------------------------
 
@@ -311,6 +321,12 @@ class Media:
     def transmittance(depth: np.ndarray) -> np.ndarray:
         """(3, N) of optical depths (C, N)."""
         return np.broadcast_to(np.exp(-depth), (3, depth.shape[1]))
+
+
+def _content(volume: Volume) -> tuple:
+    """What two volumes have in common that are the same."""
+    arrays = volume.scattering, volume.absorption, volume.anisotropy, volume.emission
+    return *(np.asarray(a, np.float64).tobytes() for a in arrays), volume.light_set
 
 
 def _bits(body: np.ndarray) -> np.ndarray:

@@ -120,11 +120,17 @@ class NetPicture:
         self.told = f"about {self._points} points followed over the picture, {self._rounds} times"
 
     def build(
-        self, map_: Map, enough: Callable[[], bool], noise: float | None = None, around: float = 0.0
+        self,
+        map_: Map,
+        enough: Callable[[], bool],
+        noise: float | None = None,
+        around: float = 0.0,
+        hiding: np.ndarray | None = None,
     ) -> None:
         """Draw all of it. map_ : runs a function over items on the workers. enough : whether to make do with
         the nets that there are. noise : mean error of what is shown beside, of a pixel's channel, None if
         that is not known. around : mean radiance of a channel of other fog that is shown.
+        hiding : (rows, columns) error of what is shown beside, in most pixels of each tile.
         """
         if self._by.learn is not None:
             self._by.learn(map_)
@@ -133,7 +139,7 @@ class NetPicture:
         # Nothing is between corners on either side of an outline.
         outline = nobody if self._alone else self._by.outlines(self._region, map_).T
         self._beside = _whole_cells(outline)
-        self._counts = self._allocated(map_, noise, around)
+        self._counts = self._allocated(map_, noise, around, hiding)
         self._followed, apart = np.ones(self._tiles, bool), np.zeros(self._tiles, bool)
         if self._by.chooses and not self._alone:
             apart = self._tiles_apart(map_)
@@ -207,7 +213,9 @@ class NetPicture:
         self._means = {count: np.full((3, *self._corners), np.nan) for count in self._levels}
         self._by_fresh = np.full((3, *self._corners), np.nan)
 
-    def _allocated(self, map_: Map, noise: float | None, around: float) -> np.ndarray:
+    def _allocated(
+        self, map_: Map, noise: float | None, around: float, hiding: np.ndarray | None
+    ) -> np.ndarray:
         """(rows, columns) int of tiles: points of each, powers of two. Arguments as in `build`."""
         shape = self._height, self._width
         rough, bright = roughness_of_tiles(
@@ -215,7 +223,7 @@ class NetPicture:
         )
         # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole.
         noise, bright = (noise or 0) / (CELL if self._by.chooses else 1), bright if self._by.more else None
-        self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points, around))
+        self._take(enough_points(rough, bright, noise, self._by.fewest, self._by.points, around, hiding))
         counts = points_of_tiles(rough, self._points)
         self.noise = noise_of_points(rough, counts) / self._rounds**0.5
         return counts

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from .integration.quadrature import sum_quadrature
 from .integration.sample_mean import sum_samples
 from .integration.standard_error import Spread, standard_error
 from .parts import Part
+from .points_of_tiles import hiding
 from .scene import Camera
 from .settings import Settings
 from .transport.direct_light import DirectLight, DirectLightOverTile, Pixels, SomePixels
@@ -293,6 +295,7 @@ class PlainPicture:
         layer.radiance[row, column] = (before + (mean - before) * share).T
         layer.sample_count[row, column] = start + count
 
+    @property
     def noise(self) -> float | None:
         """Error to be expected of a pixel's channel, on average, as the first sample of all tells; None in a
         picture too narrow for that.
@@ -301,6 +304,16 @@ class PlainPicture:
         everywhere = np.ones(radiance.shape[:2], bool)
         (deviation,) = mean_deviations(radiance, (0, 1), everywhere, sides=self.seen_in)
         return None if deviation is None else deviation / self.samples**0.75
+
+    def hiding(self, edge: int) -> np.ndarray | None:
+        """(rows, columns) of tiles with such an edge in pixels: as `noise`, in most of their pixels."""
+        radiance = self._reflected()
+        if radiance.shape[1] < 3:
+            return None
+        apart = np.zeros(radiance.shape[:2])
+        middle = radiance[:, :-2] - 2 * radiance[:, 1:-1] + radiance[:, 2:]
+        apart[:, 1:-1] = np.abs(middle).sum(axis=2, dtype=np.float64) / math.sqrt(6)
+        return hiding(apart / 3, edge) / self.samples**0.75
 
     def noise_of_halves(self) -> tuple[float, float] | None:
         """As `noise`, as a chessboard's white pixels alone tell, and the black ones."""
@@ -319,7 +332,7 @@ class PlainPicture:
 
     def deviation_a_sample(self) -> float | None:
         """As `ControlVariatePicture.deviation_a_sample`, of pixels that all have the same samples."""
-        noise = self.noise()
+        noise = self.noise
         return None if noise is None else 3 * noise / self.samples**0.25
 
     def _retire_blocks(self, pixels: Pixels, first: np.ndarray, second: np.ndarray) -> None:

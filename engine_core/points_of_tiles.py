@@ -38,11 +38,15 @@ N^1.5."""
 
 HIDDEN = 0.4
 """Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
-seen. Of the mean noise, so that a few bright pixels of it hide nothing."""
+seen."""
 
-PATTERN, MOST_TIMES = 0.05, 4
-"""What a net that is followed may be wrong by in the mean, of what is there, as it is a pattern; and how many
-times as many points it has at most where as many as usual would be wrong by more.
+ROOT = 0.676
+"""Of the deviation of what is normally distributed, the square of its root's mean."""
+
+PATTERN, PATTERN_IN_NOISE, MOST_TIMES = 0.05, 0.1, 4
+"""What a net that is followed may be wrong by in the mean, of what is there, as it is a pattern: alone, and
+in noise that hides it on average, though not in most pixels; and how many times as many points it has at most
+where as many as usual would be wrong by more.
 """
 
 DIM = 0.25
@@ -95,6 +99,18 @@ def roughness_of_tiles(
     return found
 
 
+def hiding(deviation: np.ndarray, edge: int) -> np.ndarray:
+    """(rows, columns) of tiles: by how much a channel deviates in most of its pixels; specks hide nothing
+    between them, however bright they are.
+
+    deviation : (H, W) of each pixel, as one sample says, or 0. edge : of a tile, in pixels.
+    """
+    sums = np.stack([np.sqrt(deviation, dtype=np.float64), np.ones(deviation.shape)])
+    for axis in (1, 2):
+        sums = np.add.reduceat(sums, np.arange(0, sums.shape[axis], edge), axis=axis)
+    return np.square(sums[0] / sums[1]) / ROOT
+
+
 def enough_points(
     rough: np.ndarray,
     bright: np.ndarray | None,
@@ -102,6 +118,7 @@ def enough_points(
     fewest: int,
     usual: int,
     around: float = 0.0,
+    hiding: np.ndarray | None = None,
 ) -> int:
     """A power of two: points in the mean, from ``fewest`` to as many as are ``usual``, so that the ``noise``
     of a pixel's channel beside hides that they are no more; or more, if their error would be a pattern.
@@ -109,23 +126,30 @@ def enough_points(
     rough, bright : of `roughness_of_tiles`; None for the second if more are not worth it whatever pattern
         errors make.
     fewest : 0 if it is as many as usual. around : mean radiance of a channel of other fog that is shown, in
-        which patterns are seen the less.
+        which patterns are seen the less. hiding : (rows, columns) as of that, what hides patterns; None for
+        ``noise``.
     """
     if not fewest:
         return usual
 
-    def least(rough: float, error: float) -> float:
-        return (ERROR * rough / max(error, 1e-100) ** 2) ** (2 / 3)
+    def least(rough: np.ndarray | float, error: np.ndarray | float) -> np.ndarray:
+        return (ERROR * rough / np.maximum(error, 1e-100) ** 2) ** (2 / 3)
 
     # Channels are summed in that.
-    hidden = least(rough.mean(), HIDDEN * noise * 3)
-    if noise and hidden < usual:
-        return 1 << int(np.ceil(np.log2(max(hidden, fewest))))
-    if bright is None or not bright.any():
-        return usual
-    most = min(hidden, MOST_TIMES * usual)
-    relative = np.sqrt(rough) / np.maximum(bright, DIM * (bright.mean() + 3 * around))
-    return 1 << round(np.log2(np.clip(least(relative.mean() ** 2, PATTERN), usual, max(usual, most))))
+    most = float(MOST_TIMES * usual)
+    hidden = unseen = min(float(least(rough.mean(), HIDDEN * noise * 3)), most) if noise else most
+    if hidden < most and hiding is not None and rough.any():
+        # Tiles count as the net errs there.
+        weight = np.sqrt(rough)
+        of_tiles = np.minimum(least(rough, HIDDEN * hiding * 3), most)
+        unseen = max(hidden, (weight * of_tiles).sum() / weight.sum())
+    wanted = 0.0
+    if bright is not None and bright.any():
+        relative = np.sqrt(rough) / np.maximum(bright, DIM * (bright.mean() + 3 * around))
+        pattern = PATTERN if hidden >= usual else PATTERN_IN_NOISE
+        wanted = min(float(least(relative.mean() ** 2, pattern)), unseen)
+    fewest = usual if hidden >= usual else 1 << int(np.ceil(np.log2(max(hidden, fewest))))
+    return max(fewest, 1 << round(np.log2(max(wanted, 1))))
 
 
 def noise_of_points(rough: np.ndarray, points: np.ndarray) -> float:

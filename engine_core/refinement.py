@@ -22,6 +22,7 @@ from .integration.point_sets import staged_points
 from .integration.regions import RegionTree
 from .integration.residual import ResidualSampler
 from .integration.standard_error import Spread, sampled_twice, standard_error
+from .points_of_tiles import hiding
 from .settings import Settings
 from .transport.direct_light import ALPHA, NORMAL, CameraHits, DirectLight, DirectLightOverTile, Pixels
 from .transport.light_choice import EveryLight
@@ -255,6 +256,13 @@ class ControlVariatePicture:
         self.passes = 1 + max(0, int(np.log2(settings.samples / FIRST_PASS)))
         for group in self._points:
             group.prepare(int(self._due.max()))
+
+    def hiding(self, edge: int) -> np.ndarray | None:
+        """(rows, columns) of tiles with such an edge in pixels: as `noise`, in most of their pixels."""
+        if self.noise is None:
+            return None
+        expected = np.sqrt(self._square) / np.maximum(self._due, 1) ** 0.75
+        return hiding(expected.T / CHANNELS, edge)
 
     def noise_of_halves(self, map_: Map) -> tuple[float, float]:
         """As `noise`, as the pilots of a chessboard's white pixels alone tell, and those of the black ones.

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from functools import partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from .edge_samples import EdgeSamples
 from .errors import RenderError
 from .image.film import FAR, Film
 from .integration.mapping import Map
-from .net_picture import NetPicture
+from .net_picture import CELL, TILE, NetPicture
 from .part_pictures import AroundLightsPicture, SeenPicture, TargetsPicture
 from .parts import AroundLights, OverNet, OverScreen, Seen, Targets, parts_of
 from .plain_picture import PlainPicture, Tile
@@ -225,8 +226,7 @@ class _Render:
         built, ended = [], None
         if not self._built:
             return built, ended
-        # How many points of a net are worth it depends on what is shown beside.
-        noise = self._noise(surfaces)
+        beside: dict[str, Any] = {}
         for part in self._built:
             begin, by, layer = time.perf_counter(), part.by, self._layers[part.name]
             while by is not None and not ended:
@@ -237,7 +237,8 @@ class _Render:
                 if isinstance(picture, NetPicture):
                     shown = [other.radiance[..., :3] for other in self._film.layers[1:] if other is not layer]
                     around = sum(float(radiance.mean(dtype=np.float64)) for radiance in shown)
-                    build = partial(build, noise=noise, around=around)
+                    beside = beside or self._beside(surfaces)
+                    build = partial(build, around=around, **beside)
                 outcome, ended = self._workers.drive(build, f"Building {part.name}")
                 if not ended:
                     outcome.result()
@@ -256,6 +257,13 @@ class _Render:
             if ended:
                 break
         return built, ended
+
+    def _beside(self, surfaces: ControlVariatePicture | None) -> dict[str, Any]:
+        """What is told to nets of the noise of surfaces: how many points are worth it depends on that."""
+        sampled = self._plain if self._sampled_once else surfaces
+        if sampled is None:
+            return {"noise": None}
+        return {"noise": sampled.noise, "hiding": sampled.hiding(TILE * CELL)}
 
     def _refine_parts(
         self, parts: list[Built], surfaces: ControlVariatePicture | None, ended: str | None
@@ -283,12 +291,6 @@ class _Render:
             self._stages |= {f"seconds {part.name}, {stage}": s for stage, s in stages.items()}
             self._counts.update(part.counts())
         return ended
-
-    def _noise(self, surfaces: ControlVariatePicture | None) -> float | None:
-        """Error to be expected of surfaces, of a pixel's channel, on average; None if that is not known."""
-        if self._sampled_once:
-            return self._plain.noise()
-        return None if surfaces is None else surfaces.noise
 
     def _share_out(self, parts: list[Built], surfaces: ControlVariatePicture | None) -> None:
         """Give surfaces more samples where they cost little beside what fog and lasers took, and are most of

@@ -15,7 +15,17 @@ from engine_core.image.film import LASER, Layer
 from engine_core.integration.sobol import digital_shift, sobol, unit_float
 from engine_core.net_picture import NetPicture
 from engine_core.parts import OverNet
-from engine_core.points_of_tiles import ERROR, MOST_TIMES, PATTERN, _roughness, _shared, enough_points
+from engine_core.points_of_tiles import (
+    ERROR,
+    MOST_TIMES,
+    PATTERN,
+    PATTERN_IN_NOISE,
+    ROOT,
+    _roughness,
+    _shared,
+    enough_points,
+    hiding,
+)
 from engine_core.transport.camera_hits import Pixels
 
 WIDTH, HEIGHT = 22, 13  # no multiples of a cell
@@ -315,3 +325,29 @@ def test_points_are_few_where_noise_hides_them_and_many_where_they_make_a_patter
     rough[:, 1:] = 1e-6
     assert enough_points(rough, bright, 0.0, 4, 16) == 16
     assert enough_points(0 * rough, 0 * bright, 0.0, 4, 16) == 16
+
+
+def test_specks_beside_hide_no_pattern():
+    """Noise that is the same on average, in all pixels or in one of a hundred; of a net wrong by its mean."""
+    random, rough, bright = np.random.default_rng(4), np.full((3, 5), 16**1.5 / ERROR), np.ones((3, 5))
+    everywhere = np.abs(random.normal(size=(96, 160)))
+    specks = np.where(random.random((96, 160)) < 0.01, 10.0, 0)
+    noise = np.sqrt(np.mean(np.square(everywhere)))
+    assert np.sqrt(np.mean(np.square(specks))) == pytest.approx(noise, rel=0.1)
+    found = [hiding(deviation, 32) for deviation in (everywhere, specks)]
+    np.testing.assert_allclose(found[0], noise, rtol=0.1)
+    assert found[1].max() < 0.05 * noise
+    few, many = (enough_points(rough, bright, 3 * noise, 4, 16, hiding=3 * of_tiles) for of_tiles in found)
+    assert few == enough_points(rough, bright, 3 * noise, 4, 16) == 4 and many == MOST_TIMES * 16
+    # No more than keep the pattern faint.
+    faint = rough * (PATTERN_IN_NOISE * 1.7) ** 2
+    assert enough_points(faint, bright, 3 * noise, 4, 16, hiding=3 * found[1]) == 32
+    assert enough_points(0.01 * faint, bright, 3 * noise, 4, 16, hiding=3 * found[1]) == 4
+
+
+def test_what_hides_is_told_of_each_tile():
+    """Of tiles that the picture's edge cuts, too."""
+    deviation = np.zeros((40, 70))
+    deviation[32:, 64:] = 2.0
+    found = hiding(deviation, 32)
+    assert found.shape == (2, 3) and found[1, 2] == pytest.approx(2 / ROOT) and found.sum() == found[1, 2]

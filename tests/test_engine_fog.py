@@ -29,7 +29,7 @@ from engine_core.shading.closures import Transparent
 from engine_core.transport.camera_hits import Pixels
 from engine_core.transport.direct_light import DirectLight
 from engine_core.transport.fog_lanes import FogSegments
-from engine_core.transport.line_integrals import LineIntegrals
+from engine_core.transport.line_integrals import EVERYWHERE, LineIntegrals, _followed
 from engine_core.transport.ray_rule import AlongRay, PointsOfRay, ScatteredAlongRay
 from engine_core.transport.scattered_light import ScatteredLight
 from engine_core.transport.single_scattering import SingleScattering
@@ -395,6 +395,43 @@ def test_a_few_points_of_a_ray_are_unbiased(lights, world, meshes):
         assert abs(values[channel].mean(axis=1).sum() - exact[channel].sum()) < 4 * error
     last = integrand.rest(rays, None, np.full((1, len(rays), 1), np.nextafter(np.float32(1), 0)))[1]
     assert np.isfinite(last).all() and integrand.counts["non-finite samples"] == 0
+
+
+@pytest.mark.parametrize("g", [-0.9, 0.95])
+@pytest.mark.parametrize("case", ["point", "spot", "sun in a box"])
+def test_few_points_follow_peaks_of_the_phase_function(case, g):
+    lights, world, meshes = CASES[case]
+    scattering = fog(lights, [Volume(scattering=0.15, anisotropy=g)], world, [OCCLUDER, *meshes], end=5.0)
+    integrand = PointsOfRay(scattering)
+    rays = rays_of(integrand, 64)
+    exact = _dense(ScatteredAlongRay(scattering), rays, 3000)
+    u = np.random.default_rng(4).random((1, len(rays), 256))
+    values = integrand.rest(rays, None, u)[1].reshape(3, len(rays), -1)
+    integrand._integrals._peaks = False
+    evenly = integrand.rest(rays, None, u)[1].reshape(3, len(rays), -1)
+    error = np.sqrt((values.sum(axis=0).var(axis=1) / u.shape[2]).sum()) + 1e-5 * exact.sum()
+    assert abs(values.mean(axis=2).sum() - exact.sum()) < 4 * error
+    if case == "point":
+        assert values.std(axis=2).mean() < 0.7 * evenly.std(axis=2).mean()
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-300, 1.0, 1e30])
+def test_places_that_follow_have_the_density_that_is_told(scale):
+    """The mean of 1 / density is the line's length, between any two places."""
+
+    class Peak:
+        def smooth(self, s):
+            return np.float64(scale) * np.array(
+                [[1 / (0.003 + (np.broadcast_to(s, (len(s), 3)) - 0.3) ** 2)]]
+            )
+
+    u = np.broadcast_to(((np.arange(30000) + 0.5) / 30000).astype(np.float32)[:, None], (30000, 3))
+    s, weight = _followed(Peak(), u)
+    assert (np.diff(s, axis=0) >= 0).all() and s.min() >= 0 and s.max() <= 1
+    for low, high in ((0, 0.21), (0.28, 0.31), (0.5, 1)):
+        inside = (low <= s) & (s < high)
+        np.testing.assert_allclose((weight * inside).mean(axis=0), high - low, atol=2e-4)
+    assert weight.max() <= 1 / EVERYWHERE * 1.0001
 
 
 def test_each_of_many_lights_takes_few_rays():

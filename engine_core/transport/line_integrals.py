@@ -68,12 +68,18 @@ class Lines(Protocol):
         ...
 
 
+STEPS, EVERYWHERE = 24, 0.2
+"""Of the table by which points follow a peak, and the part of their density that is the same everywhere."""
+
+
 class LineIntegrals:
     """The rules for lines of one kind."""
 
-    def __init__(self, points: int) -> None:
-        """points : of the quadrature in each piece of a line."""
-        self._quadrature = _Quadrature(points)
+    def __init__(self, points: int, peaks: bool = False) -> None:
+        """points : of the quadrature in each piece of a line. peaks : whether few points are where the
+        integrand is large, which takes some more of its values than theirs.
+        """
+        self._quadrature, self._peaks = _Quadrature(points), peaks
 
     def integral(
         self, lines: Lines, seen: Visibility, looks: Looks, u: np.ndarray | None
@@ -178,12 +184,14 @@ class LineIntegrals:
             all_of_it[rows] = some
         return whole
 
-    @staticmethod
-    def by_points(lines: Lines, seen: Visibility, count: int, u: np.ndarray) -> np.ndarray:
+    def by_points(self, lines: Lines, seen: Visibility, count: int, u: np.ndarray) -> np.ndarray:
         """(G, C, n) float64, the same by a point in each of ``count`` parts of a line, at u (n,)."""
         s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
+        s, weight = _followed(lines, s) if self._peaks else (s, None)
         np.minimum(s, _LAST, out=s)
         value, part = lines.smooth(s), seen(lines, s)
+        if weight is not None:
+            part = part * weight
         value = np.multiply(value, part, out=value if len(part) == 1 else None)
         return value.mean(axis=2, dtype=np.float64)
 
@@ -378,3 +386,20 @@ class _Pieces:
         # Between pieces there is nothing.
         value /= np.where((row >= 0) & (place <= 1 + 1e-9), length, np.inf).astype(np.float32)
         return value
+
+
+def _followed(lines: Lines, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places s (P, n), and 1 / density there, for u (P, n): by the integrand in the middle of equal steps."""
+    steps = (np.arange(STEPS, dtype=np.float32)[:, None] + np.float32(0.5)) / STEPS
+    found = np.abs(lines.smooth(steps)).sum(axis=(0, 1), dtype=np.float64)  # (STEPS, n)
+    total = found.mean(axis=0)
+    density = np.divide(found, total, out=np.ones_like(found), where=(total > 0) & np.isfinite(total))
+    density = EVERYWHERE + (1 - EVERYWHERE) * density
+    end = np.cumsum(density, axis=0) / STEPS
+    cell = np.zeros(u.shape, np.intp)
+    for row in end[:-1]:
+        cell += u >= row
+    own = np.take_along_axis(density, cell, axis=0)
+    begin = np.take_along_axis(end, cell, axis=0) - own / STEPS
+    s = (cell + np.clip((u - begin) * STEPS / own, 0, 1)) / STEPS
+    return s.astype(np.float32), (1 / own).astype(np.float32)

@@ -124,7 +124,7 @@ class ScatteredAlongRay(Scattered):
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         self._few = FEW
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
-        self._integrals = LineIntegrals(POINTS_OF_PEAKS if peaked else POINTS)
+        self._integrals = LineIntegrals(POINTS_OF_PEAKS if peaked else POINTS, peaked)
         kinds = self._bare.kind
         # To each light.
         self.nodes, self.checks = nodes * pair, self._checks * pair

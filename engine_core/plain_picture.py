@@ -313,6 +313,8 @@ class PlainPicture:
         apart = np.zeros(radiance.shape[:2])
         middle = radiance[:, :-2] - 2 * radiance[:, 1:-1] + radiance[:, 2:]
         apart[:, 1:-1] = np.abs(middle).sum(axis=2, dtype=np.float64) / math.sqrt(6)
+        # What has no neighbour on one side is as the next.
+        apart[:, 0], apart[:, -1] = apart[:, 1], apart[:, -2]
         return hiding(apart / 3, edge) / self.samples**0.75
 
     def noise_of_halves(self) -> tuple[float, float] | None:

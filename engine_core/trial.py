@@ -49,10 +49,9 @@ KINDS, NETS = 2, 2
 LONGEST = 8
 """Points of a net: nets of f - h and of f may get better at different speeds."""
 
-BETTER, BETTER_OF_ONE = 1.35, 1.5
-"""Times the deviation of f - h that f may have: samples of f are cheaper, longer nets of them are better yet,
-and no more nodes are asked. And in a picture of one sample a pixel, which has up to twice as many for the
-same time if h is given up. There soft lamps, which want h, show 1.5 and more."""
+BETTER, BETTER_OF_ONE = 1.1, 1.5
+"""Times the deviation of f - h that f may have; and in a picture of one sample a pixel, which has up to twice
+as many for the same time if h is given up. There soft lamps, which want h, show 1.5 and more."""
 
 SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scenes import sphere, studio
 
 from engine_core import Material, Settings, Volume, World, render
-from engine_core.plain_picture import mean_deviations
+from engine_core.plain_picture import PlainPicture, mean_deviations
 from engine_core.shading.closures import Emission
 
 
@@ -58,3 +59,14 @@ def test_fog_has_fewer_points_where_plain_samples_of_surfaces_hide_its_noise():
     assert "many triangles" in told[0]["control variate"]
     points = [int(one["fog lit by glowing meshes"].split()[1]) for one in told]
     assert points[0] < points[1] == 16
+
+
+@pytest.mark.parametrize("width", [3, 33, 34, 97])
+def test_what_hides_is_the_same_in_tiles_that_the_edge_cuts(width: int):
+    radiance = np.random.default_rng(6).normal(1, 0.1, (64, width, 3)).astype(np.float32)
+    picture = SimpleNamespace(_reflected=lambda: radiance, samples=1)
+    found = PlainPicture.hiding(picture, 32)
+    assert found.shape == (2, -(-width // 32))
+    # Channels are summed, and deviate by themselves.
+    np.testing.assert_allclose(found, found[0, 0], rtol=0.6)
+    assert PlainPicture.hiding(SimpleNamespace(_reflected=lambda: radiance[:, :2], samples=1), 32) is None

@@ -255,6 +255,18 @@ def test_every_instance_is_a_body_of_its_own(cv: ModuleType, scene: Any) -> None
         assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(1, rel=1e-5)
 
 
+def test_many_instances_share_meshes_where_they_keep_clear(cv: ModuleType, scene: Any) -> None:
+    import bpy
+
+    cube = add_cube(scene, 1, fog(SCATTER), location=(-1.5, 0, 0))
+    for i in range(59):
+        add(scene, "Puff", cube.data, (1.5 * (i // 2) + 0.1 * (i % 2), 0, 0))
+    bpy.context.view_layer.update()
+    exported, _ = export(cv)
+    assert [len(mesh.triangles) // 12 for mesh in exported.meshes] == [31, 29]
+    assert {(mesh.volume, mesh.surface) for mesh in exported.meshes} == {(0, False)}
+
+
 def test_an_object_is_parted_where_its_materials_have_volumes(cv: ModuleType, scene: Any) -> None:
     """As in Cycles, where faces of one material bound its volume, whatever the others do."""
     import bpy

@@ -23,6 +23,9 @@ TRACED_TRIANGLE_BYTES = 250
 TRACER_BYTES = 100
 """What a triangle takes in each further ray tracer; each different group of blockers has one."""
 
+MANY_BODIES = 16
+"""Instances that enclose a volume, each as a mesh of its own: more of them are joined where they can be."""
+
 
 class Looks(NamedTuple):
     """What decides how a mesh is seen: fields of `engine_core.Mesh`."""
@@ -77,9 +80,21 @@ class Placed:
         """The engine's meshes, their positions less ``origin`` ((3,) float64).
 
         All instances in one; but each by itself if they enclose a volume, which adds up where they overlap.
+        Of many, those that keep clear of each other share a mesh, as the engine follows some dozens.
         """
-        sets = [[matrix] for matrix in self.matrices] if self.volume >= 0 else [self.matrices]
+        sets = [self.matrices]
+        if self.volume >= 0:
+            sets = [[matrix] for matrix in self.matrices]
+            if len(sets) > MANY_BODIES:
+                sets = [[self.matrices[i] for i in apart] for apart in _apart(self._boxes())]
         return [self._placed(matrices, origin) for matrices in sets]
+
+    def _boxes(self) -> np.ndarray:
+        """(I, 2, 3) lowest and highest coordinates of each instance."""
+        vertices = self.mesh.vertices[np.isfinite(self.mesh.vertices).all(axis=1)].astype(np.float64)
+        placed = (np.array(matrix, np.float64) for matrix in self.matrices)
+        points = (vertices @ matrix[:3, :3].T + matrix[:3, 3] for matrix in placed)
+        return np.stack([(p.min(axis=0), p.max(axis=0)) if len(p) else np.zeros((2, 3)) for p in points])
 
     def _placed(self, instances: list[Any], origin: np.ndarray) -> Mesh:
         matrices = np.array(instances, np.float64).reshape(-1, 4, 4)
@@ -125,6 +140,20 @@ def check_memory(groups: Sequence[Placed], lights: Sequence[Light] = ()) -> None
         f'Most goes to object "{largest.name}" ({count:,} times {triangles:,} triangles): '
         "use fewer instances or a simpler mesh (Decimate modifier, or Simplify in Render properties)"
     )
+
+
+def _apart(boxes: np.ndarray) -> list[list[int]]:
+    """Numbers of (I, 2, 3) ``boxes`` in as few sets as come easily, none of which has two that meet."""
+    sets: list[list[int]] = []
+    chosen = np.zeros(len(boxes), int)
+    for i, (low, high) in enumerate(boxes):
+        met = ((boxes[:i, 0] <= high) & (low <= boxes[:i, 1])).all(axis=1)
+        taken = set(chosen[:i][met].tolist())
+        chosen[i] = next(k for k in range(len(sets) + 1) if k not in taken)
+        if chosen[i] == len(sets):
+            sets.append([])
+        sets[chosen[i]].append(i)
+    return sets
 
 
 def _transformed(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:

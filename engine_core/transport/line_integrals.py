@@ -185,7 +185,9 @@ class LineIntegrals:
         return whole
 
     def by_points(self, lines: Lines, seen: Visibility, count: int, u: np.ndarray) -> np.ndarray:
-        """(G, C, n) float64, the same by a point in each of ``count`` parts of a line, at u (n,)."""
+        """(G, C, n) float64, the same by a point in each of ``count`` parts of a line, at u (n,); of
+        parts that are equally bright, about, if there are peaks.
+        """
         s = (np.arange(count, dtype=np.float32)[:, None] + u) / count
         s, weight = _followed(lines, s) if self._peaks else (s, None)
         np.minimum(s, _LAST, out=s)

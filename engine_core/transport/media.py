@@ -108,7 +108,7 @@ class Media:
         bodies = [(frame.positions(mesh.vertices), mesh.triangles) for mesh in meshes]
         volumes = [volume_of(mesh.volume) for mesh in meshes]
         if len(bodies) > MOST:
-            # Rays are traced through them longer than through as many that are apart.
+            # Where they are crowded, rays are traced through them longer than through as many that are apart.
             alike: dict[tuple, int] = {}
             kinds = [alike.setdefault(_content(volume), len(alike)) for volume in volumes]
             of_kind = dict(zip(kinds, volumes, strict=True))

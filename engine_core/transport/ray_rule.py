@@ -2,7 +2,7 @@
 """All light that fog scatters along a camera ray, of lights without size and small ones: points, spots, suns.
 
 Each lane of a ray is integrated by `line_integrals`. Of many lights most bring little of what a ray brings in
-all: these have but a few points, evenly spread, whose errors even out.
+all: these have but a few points, whose errors even out.
 
 A small light is a pair of points for each ray, opposite ones, and two more dimensions say which.
 """
@@ -124,7 +124,9 @@ class ScatteredAlongRay(Scattered):
         self._nodes = {POINT: nodes, SPOT: nodes_of_spots, SUN: nodes}
         self._few = FEW
         peaked = np.abs(scattering.media.anisotropy).max(initial=0) > _PEAK
-        self._integrals = LineIntegrals(POINTS_OF_PEAKS if peaked else POINTS, peaked)
+        # To follow peaks in bodies would take two dozen ways through them for each lane.
+        follow = bool(peaked) and scattering.media.bodies == 0
+        self._integrals = LineIntegrals(POINTS_OF_PEAKS if peaked else POINTS, follow)
         kinds = self._bare.kind
         # To each light.
         self.nodes, self.checks = nodes * pair, self._checks * pair

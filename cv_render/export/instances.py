@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...engine_core import Mesh, RenderError
+from ...engine_core.geometry.joined_bodies import apart
 from ...engine_core.scene import Light, Linking
 from .. import memory
 from .mesh import MeshData
@@ -86,7 +87,7 @@ class Placed:
         if self.volume >= 0:
             sets = [[matrix] for matrix in self.matrices]
             if len(sets) > MANY_BODIES:
-                sets = [[self.matrices[i] for i in apart] for apart in _apart(self._boxes())]
+                sets = [[self.matrices[i] for i in some] for some in apart(self._boxes())]
         return [self._placed(matrices, origin) for matrices in sets]
 
     def _boxes(self) -> np.ndarray:
@@ -140,20 +141,6 @@ def check_memory(groups: Sequence[Placed], lights: Sequence[Light] = ()) -> None
         f'Most goes to object "{largest.name}" ({count:,} times {triangles:,} triangles): '
         "use fewer instances or a simpler mesh (Decimate modifier, or Simplify in Render properties)"
     )
-
-
-def _apart(boxes: np.ndarray) -> list[list[int]]:
-    """Numbers of (I, 2, 3) ``boxes`` in as few sets as come easily, none of which has two that meet."""
-    sets: list[list[int]] = []
-    chosen = np.zeros(len(boxes), int)
-    for i, (low, high) in enumerate(boxes):
-        met = ((boxes[:i, 0] <= high) & (low <= boxes[:i, 1])).all(axis=1)
-        taken = set(chosen[:i][met].tolist())
-        chosen[i] = next(k for k in range(len(sets) + 1) if k not in taken)
-        if chosen[i] == len(sets):
-            sets.append([])
-        sets[chosen[i]].append(i)
-    return sets
 
 
 def _transformed(points: np.ndarray, matrices: np.ndarray) -> np.ndarray:

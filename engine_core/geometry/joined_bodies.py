@@ -35,7 +35,7 @@ def joined(
     for kind in dict.fromkeys(kinds):
         rows = [i for i, (of, side) in enumerate(zip(kinds, sides, strict=True)) if side and of == kind]
         boxes = np.array([[f(meshes[i][0], axis=0) for f in (np.min, np.max)] for i in rows])
-        groups += [[rows[i] for i in apart] for apart in _apart(boxes)]
+        groups += [[rows[i] for i in some] for some in apart(boxes)]
     groups.sort()
     return [_one([meshes[i] for i in group], [sides[i] for i in group]) for group in groups], [
         kinds[group[0]] for group in groups
@@ -53,7 +53,7 @@ def _one(meshes: list[tuple[np.ndarray, np.ndarray]], sides: list[int]) -> tuple
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _apart(boxes: np.ndarray) -> list[list[int]]:
+def apart(boxes: np.ndarray) -> list[list[int]]:
     """Numbers of (I, 2, 3) ``boxes`` in as few sets as come easily, none of which has two that meet."""
     sets: list[list[int]] = []
     chosen = np.zeros(len(boxes), int)

@@ -116,8 +116,8 @@ class Media:
             volumes = [of_kind[kind] for kind in kinds]
         if len(bodies) > MOST:
             raise RenderError(
-                f"{len(meshes)} meshes enclose volumes, of which {len(bodies)} are unlike others or overlap "
-                f"some, more than {MOST}: give them fewer different volumes, or join those that overlap"
+                f"{len(meshes)} meshes enclose volumes, of which {len(bodies)} are open, unlike others or "
+                f"overlap some, more than {MOST}: close them, give them fewer different volumes, or join them"
             )
         return Media(Boundaries(bodies), volumes, everywhere, frame.scale)
 

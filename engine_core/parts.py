@@ -35,7 +35,7 @@ from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.fog_rays import FogRays
 from .transport.glow_in_fog import ScatteredGlow
-from .transport.guide_in_fog import Guide
+from .transport.guide import Guide
 from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
@@ -396,7 +396,7 @@ def _of_fog(
                 pixels = (region[2] - region[0]) * (region[3] - region[1])
                 work = int(LEARNING * pixels * points)
                 pilots = [ThroughLens(one) for one in each] if lens else each
-                light.guide = Guide.of(pilots, partial(_pixels, region), region, settings.seed, work, map_)
+                light.guide = Guide.of(pilots, partial(pixels_at, region), region, settings.seed, work, map_)
                 for one in each:
                     light.counts.update(one.counts)
 
@@ -553,7 +553,7 @@ def _asked(scattering: SingleScattering, region: Region) -> FogRays:
         a.ravel()
         for a in np.meshgrid(np.linspace(x0, x1 - 1, RAYS_ASKED), np.linspace(y0, y1 - 1, RAYS_ASKED))
     )
-    pixels = _pixels(region, x, y)
+    pixels = pixels_at(region, x, y)
     return scattering.first(pixels, np.full((scattering.screen_dimensions, len(pixels), 1), 0.5, np.float32))
 
 
@@ -713,7 +713,7 @@ def cell_of(x: np.ndarray, y: np.ndarray, region: Region) -> np.ndarray:
     return ((y // CELL - y0 // CELL) * columns + (x // CELL - x0 // CELL)).astype(np.int32)
 
 
-def _pixels(region: Region, x: np.ndarray, y: np.ndarray) -> Pixels:
+def pixels_at(region: Region, x: np.ndarray, y: np.ndarray) -> Pixels:
     """Pixels (B,) of the whole frame in columns and rows of integers."""
     x, y = x.astype(np.int32), y.astype(np.int32)
     return Pixels(x, y, cell_of(x, y, region))

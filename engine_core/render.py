@@ -22,7 +22,7 @@ from .image.film import FAR, Film
 from .integration.mapping import Map
 from .net_picture import CELL, TILE, NetPicture
 from .part_pictures import AroundLightsPicture, SeenPicture, TargetsPicture
-from .parts import AroundLights, OverNet, OverScreen, Seen, Targets, parts_of
+from .parts import AroundLights, OverNet, OverScreen, Seen, Targets, parts_of, pixels_at
 from .plain_picture import PlainPicture, Tile
 from .refinement import ControlVariatePicture, obstacles
 from .scene import Camera, Scene
@@ -30,6 +30,7 @@ from .screen_picture import ScreenPicture
 from .seen_through_lens import seen_through_lens
 from .settings import Settings
 from .transport.direct_light import CAMERA, NON_FINITE, DirectLight, DirectLightOverTile
+from .transport.guide_on_surfaces import guide_of_sky
 from .transport.lens_targets import LensTargets
 from .workers import Nobody, Sink, Workers
 
@@ -152,7 +153,9 @@ class _Render:
 
     def _by_control_variates(self) -> str | None:
         """Build and show all, then refine it; returns why it ended, None if surfaces want plain samples."""
-        surfaces, ended = self._build_surfaces()
+        surfaces, ended = None, self._learn()
+        if not ended:
+            surfaces, ended = self._build_surfaces()
         parts = []
         if not ended and surfaces is None and self._integrand.shows and self._built:
             # Plain samples come in any case, and the first ones tell what of the fog's noise they hide.
@@ -171,6 +174,27 @@ class _Render:
         self._stages["seconds sampling"] = time.perf_counter() - begin
         self._count(surfaces.integrand)
         return ended or "samples"
+
+    def _learn(self) -> str | None:
+        """By which part of the sky surfaces are lit; returns why that was stopped, if it was."""
+        settings, integrand, region = self._settings, self._integrand, self._camera.region
+        by_sky = integrand.reflects and integrand.lights.of_world.size
+        if not by_sky or settings.integrator not in ("control_variates", "cv_only"):
+            return None
+        begin = time.perf_counter()
+
+        def learn(map_: Map, enough: Callable[[], bool]) -> None:
+            at = partial(pixels_at, region), region, settings.seed, settings.samples
+            integrand.guide, pilots = guide_of_sky(integrand, *at, map_, self._workers.check)
+            # They are not of what fog took, by which surfaces have more samples.
+            for pilot in pilots:
+                self._plain.counts.update(pilot.counts)
+
+        outcome, ended = self._workers.drive(learn, "Looking for the sky")
+        if not ended:
+            outcome.result()
+        self._stages["seconds guide"] = time.perf_counter() - begin
+        return ended
 
     def _build_surfaces(self) -> tuple[ControlVariatePicture | None, str | None]:
         """None if plain samples serve this picture better; and why it was stopped, if it was."""

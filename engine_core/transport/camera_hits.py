@@ -76,6 +76,7 @@ class CameraHits:
     crossings : rays that went on behind transparent surfaces.
     throughput : (3, P) what fog leaves of the light from the points; None for all. Slots have it already.
     highlights : of the points, once they are asked for; None as well if they are not glossy.
+    tiles : of a `Guide`, about the rays; None where nothing is guided.
     """
 
     values: np.ndarray
@@ -87,6 +88,7 @@ class CameraHits:
     crossings: int = 0
     throughput: np.ndarray | None = None
     highlights: Highlights | None = None
+    tiles: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def lane(self) -> np.ndarray | None:

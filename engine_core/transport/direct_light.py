@@ -31,6 +31,7 @@ from ..shading.terms import LARGEST
 from .camera_hits import ALPHA, NORMAL, RGB, CameraHits, CameraStage, Pixels, SomePixels
 from .emitters import emitter_groups
 from .glow_on_surfaces import GlowDirections
+from .guide import Guide, GuidedPoints
 from .highlights import Highlights
 from .light_choice import WEIGHED, CandidateLights, EveryLight, LightChoice, WeighedLights
 from .light_clusters import CELL, Clusters, clusters_of_cells, pilot_points
@@ -103,6 +104,7 @@ class DirectLight:
     media : the fogs of the scene, None for none.
     frame, shader, surfaces, stage, shadows : what else it is made of.
     reflects : whether light off any surface may be seen. shows : whether anything but depth may be.
+    guide : of lights, and how surfaces are lit by these; None as long as nothing is learned.
     sampling : "mis", "light" or "bsdf". lambertian : all surfaces are.
     seconds : that building it took, by stage.
     """
@@ -156,6 +158,7 @@ class DirectLight:
         self.shadows = Shadows(self.surfaces, shader, crossings, self.media)
         self._weighed = WeighedLights(self.lights, self.lights.links.kinds)
         self.sampling = sampling
+        self.guide: Guide | None = None
         self.samples_every = self.only_points and 1 < len(self.lights) <= EVERY_POINT
         self.screen_dimensions = self.stage.dimensions
         self.rest_dimensions = 3 if len(self.lights) > 1 or self.chooses_piece else 2
@@ -236,6 +239,9 @@ class DirectLight:
         if len(self.lights) > WEIGHED:
             rows = np.repeat(pixels.cell, u.shape[2])
             hits.cell = rows if hits.points.lane is None else rows.take(hits.points.lane)
+        if self.guide is not None and reflects:
+            corner = np.stack([pixels.x, pixels.y])
+            hits.tiles = self.guide.tiles(*(corner[:, :, None] + u[:2]).reshape(2, -1))
         return hits
 
     def depth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -298,7 +304,8 @@ class DirectLight:
         if len(self.lights) == 0:
             return []
         highlights = self._highlights(hits, choice)
-        samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split, highlights)
+        guided = None if hits.tiles is None else GuidedPoints(self.guide, hits.tiles, hits.points.lane)
+        samples = self.lights.sample(hits.points, hits.cell, at, u, choice, split, highlights, guided)
         if hits.slots is None:
             return [self._reflect_lambertian(hits, samples)]
         parts = [self._reflect(hits, samples)]

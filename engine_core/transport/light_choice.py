@@ -77,6 +77,19 @@ class EveryLight:
     """
 
 
+class OneLight:
+    """One of several, the same everywhere."""
+
+    def __init__(self, light: int) -> None:
+        self._light = light
+
+    def choose(self, position, normal, cell, w, kind=None, highlights=None) -> Choice:
+        return np.full(w.size, self._light), np.ones(w.size, np.float32), w.reshape(-1)
+
+    def pdf(self, light, position, normal, cell, kind=None, highlights=None) -> np.ndarray:
+        return (light == self._light).astype(np.float32)
+
+
 class WeighedLights:
     """Every light that is linked to a point weighed there."""
 

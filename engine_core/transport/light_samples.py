@@ -13,6 +13,7 @@ from ..geometry.surfaces import SurfacePoints
 from ..geometry.triangles import Triangles
 from ..geometry.vectors import dot, take
 from .emitters import Emitters
+from .guide import GuidedPoints
 from .highlights import Highlights
 from .light_choice import EveryLight, LightChoice
 from .light_estimates import Lights
@@ -54,7 +55,8 @@ class LightSamples:
 class SceneLights(Lights):
     """Every light of a scene, numbered group after group.
 
-    sized : (L,) bool, whether it has a size. links : what they are linked to.
+    sized : (L,) bool, whether it has a size. of_world : (K,) numbers of those that shine from all around.
+    links : what they are linked to.
     any_mesh : whether one is a mesh.
     only_points : whether none has a size.
     chooses_piece : whether one has several pieces, one of which must be chosen.
@@ -75,6 +77,7 @@ class SceneLights(Lights):
         self.chooses_piece = any(group.is_mesh and group.chooses for group in groups)
         self.only_points = all(group.is_point for group in groups)
         counts = [len(group) for group in groups]
+        self.of_world = np.flatnonzero(np.repeat(np.array([g.is_world for g in groups], bool), counts))
         self._at_infinity = np.repeat(np.array([group.at_infinity for group in groups], bool), counts)
         self.sized = self._of_groups("size", np.float64) > 0
         self.links = links or Links([of for group in groups for of in group.linking], triangles)
@@ -111,23 +114,29 @@ class SceneLights(Lights):
         choice: LightChoice | EveryLight | None,
         split: int,
         highlights: Highlights | None = None,
+        guided: GuidedPoints | None = None,
     ) -> LightSamples:
         """Samples for points ``at`` (K,) (None for all in order), ``split`` in a row at each.
 
         cell : of the points. u : (D, K): two dimensions on a light, and one to choose it or a piece of it.
         highlights : of the points; None if they are not glossy.
+        guided : where on lights samples are, None for as often everywhere. Weights know of it, `density` does
+            not: the power heuristic is right by whatever densities, if lights and lobes take the same.
         """
-        samples = self._sample(points, cell, at, u, choice, split, highlights)
+        samples = self._sample(points, cell, at, u, choice, split, highlights, guided)
         if not self.links.all_lit:
             samples.weight *= self.links.lit(samples.light, points.triangle.take(samples.at))
         return samples
 
-    def _sample(self, points, cell, at, u, choice, split, highlights) -> LightSamples:
+    def _sample(self, points, cell, at, u, choice, split, highlights, guided) -> LightSamples:
         if len(self) == 1:
             position, normal = (a if at is None else take(a, at) for a in (points.position, points.normal))
             # Only a mesh has a use for the third, its choice of a piece.
             group = self.groups[0]
-            to_light, weight = group.sample(None, position, normal, u[-1], u[:2])
+            place, gain = (u[:2], None) if guided is None else guided.stretched(0, at, u[:2])
+            to_light, weight = group.sample(None, position, normal, u[-1], place)
+            if gain is not None:
+                weight = weight * gain
             which = np.arange(u.shape[1])
             return LightSamples(
                 which,
@@ -158,7 +167,13 @@ class SceneLights(Lights):
             light, chance, w = light.take(order), chance.take(order), w.take(order)
         at = order if at is None else at.take(order)
         position, normal = take(points.position, at), take(points.normal, at)
-        to_light, weight, at_infinity = self._sample_sorted(light, position, normal, w, take(u[:2], order))
+        place, gains = take(u[:2], order), {}
+        for one in [] if guided is None else guided.gaining:
+            part = slice(*np.searchsorted(light, [one, one + 1]))
+            place[:, part], gains[part.start, part.stop] = guided.stretched(one, at[part], place[:, part])
+        to_light, weight, at_infinity = self._sample_sorted(light, position, normal, w, place)
+        for part, gain in gains.items():
+            weight[slice(*part)] *= gain
         if chance is not None:
             weight /= chance
         w = w if self.any_mesh else None

@@ -286,8 +286,8 @@ class ScatteredAlongRay(Scattered):
 
 
 class PointsOfRay(ScatteredAlongRay):
-    """The same light by points of each ray, one in each part of a lane (`LineIntegrals.by_points`): for pixels that
-    an outline crosses.
+    """The same light by points of each ray, one in each part of a lane (`LineIntegrals.by_points`): for
+    pixels that an outline crosses.
 
     Their rays differ by more than what is left to chance here, and these take a third of the shadow rays.
     """

@@ -28,7 +28,7 @@ from .distance_maps import (
     within_depth,
 )
 from .fog_rays import FogRays
-from .guide_in_fog import DIMENSIONS, Guide
+from .guide import DIMENSIONS, Guide
 from .light_choice_in_fog import FogChoice, segments
 from .media import RayMedia
 from .single_scattering import Places, Scattered, SingleScattering, run

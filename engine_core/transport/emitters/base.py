@@ -68,6 +68,7 @@ class Emitters:
     at_infinity : no distance. is_mesh : part of the traced triangles. is_point : none has a size.
     has_tint : strength differs with the direction, as `tint` says.
     is_flat : what it sends falls with the cosine to `cone_axis`, as `falloff` says.
+    is_world : it shines from all around.
     is_background : what camera rays see of it is the background, which a transparent film leaves out.
     """
 
@@ -83,6 +84,7 @@ class Emitters:
     is_point = False
     has_tint = False
     is_flat = False
+    is_world = False
     is_background = False
 
     def __init__(self, strength: np.ndarray, size: np.ndarray, linking: Sequence[Linking]) -> None:

@@ -19,6 +19,7 @@ class WorldEmitter(Emitters):
     """
 
     at_infinity = True
+    is_world = True
 
     def __init__(self, world: World) -> None:
         super().__init__(world.radiance[None], np.ones(1), [Linking()])
@@ -59,6 +60,7 @@ class ImageWorldEmitter(Emitters):
     """
 
     at_infinity = True
+    is_world = True
     has_tint = True
     is_background = True
 

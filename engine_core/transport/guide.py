@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where along rays, and in which part of lights, fog is lit: learned by pilots, all over the picture.
+"""Where along rays fog is lit, and by which part of lights fog and surfaces are: learned by pilots, all over
+the picture.
 
 Of a ray through a nave the sun's shafts light but a few pieces, and of the sky few directions come in by its
-windows, which are others at each distance. So dimensions of primary space are stretched: each has a grid of
-cells that points take equally often, for each cell of the dimensions before, and what pilots found of f^2
-says how wide they are,
+windows, which are others at each distance, and at each place of a wall. So dimensions of primary space are
+stretched: each has a grid of cells that points take equally often, for each cell of the dimensions before,
+and what pilots found of f^2 says how wide they are,
 
     density ~ sqrt(mean of f^2 in a cell of all three),   f becomes f / density
 
@@ -27,7 +28,7 @@ from ..integration.point_sets import SobolPoints
 from .camera_hits import Pixels
 
 DIMENSIONS = 3
-"""The first so many of the rest: distance, and place on a light."""
+"""The first so many of the rest, in fog: distance, and place on a light. On surfaces, the place alone."""
 
 CELLS = 12
 """Of a grid."""
@@ -63,7 +64,7 @@ class Guide:
 
     gaining : their numbers, K of them.
 
-    knots : (rows + 2, columns + 2, K, GRIDS, CELLS + 1) float32, with tiles beyond the edges. Of a light's
+    knots : (rows + 2, columns + 2, K, G, CELLS + 1) float32, with tiles beyond the edges. Of a light's G
         grids one is of the first dimension, the next are of the second where the first is in each of its
         cells, and so on.
     """
@@ -81,15 +82,18 @@ class Guide:
         seed: int,
         evaluations: int,
         map_: Map = in_order,
+        dimensions: int = DIMENSIONS,
+        tiles: tuple[int, int] = (TILES, EDGE),
     ) -> Guide | None:
         """None where no light would gain much.
 
         lights : what each of L brings. pixels : in columns and rows (B,) of the whole frame.
         region : x0, y0, x1, y1. evaluations : of each light that gains, that may be spent, about.
-        map_ : runs a function over items on workers.
+        map_ : runs a function over items on workers. dimensions : so many, the first of the rest.
+        tiles : along the picture's shorter edge, about; and pixels along that of one, at least.
         """
         size = np.array([region[2] - region[0], region[3] - region[1]])
-        edge = max(EDGE, -(-int(size.min()) // TILES))
+        edge = max(tiles[1], -(-int(size.min()) // tiles[0]))
         columns, rows = -(-size // edge)
         x, y = (
             np.minimum(((np.arange(n * PILOTS) + 0.5) * (edge / PILOTS)).astype(np.int32), end - 1)
@@ -113,7 +117,7 @@ class Guide:
             at = u[: light.rest_dimensions].reshape(light.rest_dimensions, -1)
             f = values_at(light, light.first(pilots, middle), len(pilots), None, at)[:3]
             cell = tile[part, None]
-            for place in u[:DIMENSIONS]:
+            for place in u[:dimensions]:
                 cell = cell * CELLS + (place * CELLS).astype(np.intp)
             return cell.ravel(), np.square(f.sum(axis=0, dtype=np.float64))
 
@@ -123,9 +127,9 @@ class Guide:
             cell, square = map(
                 np.concatenate, zip(*map_(look, [(number, part, start, end) for part in parts]), strict=True)
             )
-            size = rows * columns * CELLS**DIMENSIONS
+            size = rows * columns * CELLS**dimensions
             sums = np.stack([np.bincount(cell, a, size) for a in (square, square * square)])
-            return sums.reshape(2, rows, columns, *[CELLS] * DIMENSIONS)
+            return sums.reshape(2, rows, columns, *[CELLS] * dimensions)
 
         grids, gaining = [], []
         for number in range(len(lights)):
@@ -134,7 +138,7 @@ class Guide:
                 continue
             if most > few:
                 squares += found(number, few, most)
-            grids.append(_grids(_density(*map(_with_neighbours, squares))))
+            grids.append(_grids(_density(*map(_with_neighbours, squares)), dimensions))
             gaining.append(number)
         if not gaining:
             return None
@@ -159,13 +163,13 @@ class Guide:
     def stretched(
         self, light: int, tiles: tuple[np.ndarray, np.ndarray], ray: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Places (DIMENSIONS, N) at u (DIMENSIONS, N) of a light that gains, and 1 / density (N,).
+        """Places (D, N) at u (D, N) of the grids' D dimensions of a light that gains, and 1 / density (N,).
 
         tiles : about R rays. ray : (N,), which of these.
         """
         knots = self._knots.reshape(-1)
         first = tiles[0].take(ray, axis=1) * self._knots[0, 0].size
-        first += self.gaining.index(light) * GRIDS * (CELLS + 1)
+        first += self.gaining.index(light) * self._knots.shape[3] * (CELLS + 1)
         part = tiles[1].take(ray, axis=1)
         place, weight = np.empty(u.shape, np.float32), np.ones(u.shape[1], np.float32)
         grid, before = 0, 0
@@ -192,6 +196,25 @@ class Guide:
         return place, weight
 
 
+class GuidedPoints:
+    """A guide at points on surfaces that rays hit.
+
+    gaining : as of `Guide`.
+    """
+
+    def __init__(self, guide: Guide, tiles: tuple[np.ndarray, np.ndarray], lane: np.ndarray | None) -> None:
+        """tiles : about rays. lane : (M,) of M points, the ray of each; None if every ray hit."""
+        self._guide, self._tiles, self._lane = guide, tiles, lane
+        self.gaining = guide.gaining
+
+    def stretched(self, light: int, at: np.ndarray | None, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As of `Guide`, at points ``at`` (N,), None for all in order."""
+        ray = np.arange(u.shape[1]) if at is None else at
+        return self._guide.stretched(
+            light, self._tiles, ray if self._lane is None else self._lane.take(ray), u
+        )
+
+
 def _with_neighbours(a: np.ndarray) -> np.ndarray:
     """Sums of tiles (rows, columns, ...) over 1, 2, 1 of neighbours along both axes."""
     for axis in range(2):
@@ -205,12 +228,13 @@ def _gain(square: np.ndarray) -> float:
     """How many times less f^2 is in the mean if points are spread along each dimension by itself as its sums
     (rows, columns, CELLS, ...) say: these are surer than cells of all.
     """
-    total = square.sum(axis=(2, 3, 4))
+    axes = tuple(range(2, square.ndim))
+    total = square.sum(axis=axes)
     if not total.any():
         return 1.0
     less = np.ones_like(total)
-    for other in ((3, 4), (2, 4), (2, 3)):
-        of_cell = square.sum(axis=other)
+    for own in axes:
+        of_cell = square.sum(axis=tuple(a for a in axes if a != own))
         with np.errstate(invalid="ignore", divide="ignore"):
             less *= np.square(np.sqrt(of_cell).sum(axis=-1)) / (CELLS * total)
     return total.sum() / (total * np.where(total > 0, less, 0)).sum()
@@ -234,13 +258,13 @@ def _density(square: np.ndarray, fourth: np.ndarray) -> np.ndarray:
     return part * density + (1 - part) / cells
 
 
-def _grids(density: np.ndarray) -> np.ndarray:
-    """(..., GRIDS, CELLS + 1) float32 knots of grids, by parts (..., CELLS, ...) of points in cells."""
-    leading = density.shape[:-DIMENSIONS]
+def _grids(density: np.ndarray, dimensions: int = DIMENSIONS) -> np.ndarray:
+    """(..., G, CELLS + 1) float32 knots of grids, by parts (..., CELLS, ...) of points in cells."""
+    leading = density.shape[:-dimensions]
     # What the grids so far have in each of their cells, of the dimensions that are left.
     density = density.reshape(*leading, 1, -1)
     grids = []
-    for _ in range(DIMENSIONS):
+    for _ in range(dimensions):
         density = density.reshape(*density.shape[:-1], CELLS, -1)
         knots, taken = _knots(density.sum(axis=-1))
         grids.append(knots)

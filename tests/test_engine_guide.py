@@ -12,9 +12,9 @@ from scenes import box
 from engine_core import Camera, Material, Scene, Settings, Sink, SunLight, Volume, World, render
 from engine_core.integration.mapping import in_order
 from engine_core.parts import parts_of
-from engine_core.transport import guide_in_fog as module
+from engine_core.transport import guide as module
 from engine_core.transport.direct_light import DirectLight
-from engine_core.transport.guide_in_fog import CELLS, DIMENSIONS, GRIDS, Guide
+from engine_core.transport.guide import CELLS, DIMENSIONS, GRIDS, Guide
 
 WINDOW = 0.8, 1.6
 """Of the wall to the right: from where to where in y and z."""

@@ -55,8 +55,8 @@ as many for the same time if h is given up. There soft lamps, which want h, show
 
 SURE = (-1.5, 2.5), (-1.0, 1.5), (0.5, 0.5)
 """Of each round of the trial: by how many standard errors f must be below that, no more than the first for
-h to be kept, more than the second for it to be given up; between them comes the next round, of more pixels.
-In a few either may seem better by chance."""
+h to be kept, more than the second for it to be given up, in the mean or in that of squares; between them
+comes the next round, of more pixels. In a few either may seem better by chance."""
 
 
 class Trial:
@@ -104,13 +104,15 @@ class Trial:
         # A control variate directs samples by errors shared with neighbours, regions grow by their own.
         own = self._tree.leaves().density.copy()
         variate = self._variate(LOG_BINS)
-        gain, beaten = np.zeros(0), False
+        # In the mean, as samples go where the deviation is; and of squares, as rare specks are what is seen.
+        gain, beaten = np.zeros((2, 0)), False
         for number, (low, high) in enumerate(SURE):
             of_h, of_f = self._deviations(variate, number)
-            gain = np.concatenate([gain, self._better * of_h - of_f])
-            noise = np.sqrt(len(gain)) * gain.std() if gain.size else 0.0
-            beaten = gain.sum() > high * noise
-            if beaten or gain.sum() <= low * noise:
+            of_h = self._better * of_h
+            gain = np.concatenate([gain, [of_h - of_f, of_h**2 - of_f**2]], axis=1)
+            total, noise = gain.sum(axis=1), np.sqrt(gain.shape[1]) * gain.std(axis=1) if gain.size else 0.0
+            beaten = (total > high * noise).any()
+            if beaten or (total <= low * noise).all():
                 break
         self._tree.leaves().density[:] = own
         return bool(beaten)
@@ -145,7 +147,6 @@ class Trial:
                 np.ones(len(which)),
                 which,
             )
-            # Samples go where the deviation is: its mean counts, not that of its square.
             return index, np.abs(spread.twice[:, which]).sum(axis=0)
 
         def of_f(index: np.ndarray) -> np.ndarray:

@@ -58,6 +58,17 @@ def test_f_may_be_worse_in_a_picture_of_one_sample(
     assert film.statistics["control variate"].startswith("given up") == given_up
 
 
+def test_rare_specks_count_by_their_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    def specks(self: trial.Trial, variate: object, number: int) -> tuple[np.ndarray, np.ndarray]:
+        # In the mean less than half of what f deviates by, in the mean square three times.
+        of_h = np.where(np.arange(640) % 64 == 0, 25.0, 0.05)
+        return of_h, np.ones(640)
+
+    monkeypatch.setattr(trial.Trial, "_deviations", specks)
+    film = render(clear(example("fence", 160, 90)), Settings(samples=4, seed=5, threads=2))
+    assert film.statistics["control variate"].startswith("given up")
+
+
 @pytest.mark.parametrize("samples", [1, 2])
 def test_more_is_no_doubt_in_a_picture_of_one_sample(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[int] = []

@@ -127,6 +127,8 @@ def test_nothing_is_learned_under_the_open_sky_nor_of_lamps_nor_for_other_integr
         world=World((0.5, 0.7, 1.0)),
     )
     assert learned(floor) is None
+    # Its highlights are what lobes sample.
+    assert learned(replace(floor, materials=[SHINY])) is None
     assert learned(room(world=World(), lights=[PointLight(3.0, (0, 0, 2.6), radius=0.2)])) is None
     assert learned(room(Material(0.0))) is None
     asked = []
@@ -136,6 +138,13 @@ def test_nothing_is_learned_under_the_open_sky_nor_of_lamps_nor_for_other_integr
     assert not asked
     render(room(), Settings(samples=1, threads=1))
     assert asked
+
+
+def test_a_picture_of_the_sky_whose_ends_are_black_gives_no_sample_that_is_not_finite():
+    image = np.zeros((16, 32, 3), np.float32)
+    image[6:10, 14:18] = 5
+    film = render(room(world=World(image=image)), Settings(samples=4, threads=1))
+    assert film.messages == [] and film.statistics["non-finite samples"] == 0
 
 
 def test_pilots_can_be_cancelled():

@@ -48,6 +48,9 @@ POINTS = 64, 1024
 BATCH = 1 << 15
 """Points that a worker takes at once."""
 
+INSIDE = np.float32(2.0**-24)
+"""Of the open unit interval, how far from its ends places are."""
+
 EVERYWHERE = 0.2
 """Part of the density that is the same everywhere."""
 
@@ -191,6 +194,8 @@ class Guide:
                 low, wide = of_low + low, of_wide + wide
             np.multiply(wide, inside, out=place[d])
             place[d] += low
+            # Tiles' weights add up to 1 but for rounding, and lights take what is inside the open cube.
+            np.clip(place[d], INSIDE, 1 - INSIDE, out=place[d])
             wide *= np.float32(CELLS)
             weight *= wide
         return place, weight

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..integration.mapping import Map
 from .camera_hits import CameraHits, Pixels
-from .direct_light import DirectLight, DirectLightOverTile
+from .direct_light import NOTHING, DirectLight, DirectLightOverTile
 from .guide import Guide
 from .light_choice import OneLight
 
@@ -32,9 +32,11 @@ class OfOneLight:
 
     def __init__(self, integrand: DirectLight, light: int, check: Callable[[], None]) -> None:
         """check : called before every batch; may raise, to give up."""
-        # What lobes find is not where light samples go.
         alone = copy(integrand)
-        alone.sampling = "light"
+        # What lobes find, and fog that glows, is not where light samples go; nor is what the power heuristic
+        # leaves to lobes.
+        alone._sample_lobe = lambda *_: NOTHING
+        alone._glows = False
         choice = OneLight(light) if len(integrand.lights) > 1 else None
         self._integrand = DirectLightOverTile(alone, choice, check, seen=False)
         self._lens = integrand.screen_dimensions - 2

@@ -87,6 +87,23 @@ def box(low: Any = (-1, -1, -1), high: Any = (1, 1, 1), shared: bool = True, **f
     return Mesh(vertices, triangles, name="Box", **fields)
 
 
+def walls_with_window(window: tuple[float, float]) -> list[Mesh]:
+    """Of a room of 6 x 6 x 3, and a hole in the one to the right: from where to where in y and z."""
+    low, high = window
+    corners = [
+        ((-3, -3, -0.2), (3, 3, 0)),
+        ((-3, -3, 3), (3, 3, 3.2)),
+        ((-3.2, -3, 0), (-3, 3, 3)),
+        ((-3, 3, 0), (3, 3.2, 3)),
+        ((-3, -3.2, 0), (3, -3, 3)),
+        ((3, -3, 0), (3.2, low, 3)),
+        ((3, high, 0), (3.2, 3, 3)),
+        ((3, low, 0), (3.2, high, low)),
+        ((3, low, high), (3.2, high, 3)),
+    ]
+    return [box(*ends) for ends in corners]
+
+
 def sphere(
     centre: Any = (0, 0, 0),
     radius: float = 1.0,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import box
+from scenes import box, walls_with_window
 
 from engine_core import Camera, Material, Scene, Settings, Sink, SunLight, Volume, World, render
 from engine_core.integration.mapping import in_order
@@ -22,22 +22,10 @@ WINDOW = 0.8, 1.6
 
 def room() -> Scene:
     """Black walls about fog, and a window that lets in a sun and the sky."""
-    low, high = WINDOW
-    walls = [
-        ((-3, -3, -0.2), (3, 3, 0)),
-        ((-3, -3, 3), (3, 3, 3.2)),
-        ((-3.2, -3, 0), (-3, 3, 3)),
-        ((-3, 3, 0), (3, 3.2, 3)),
-        ((-3, -3.2, 0), (3, -3, 3)),
-        ((3, -3, 0), (3.2, low, 3)),
-        ((3, high, 0), (3.2, 3, 3)),
-        ((3, low, 0), (3.2, high, low)),
-        ((3, low, high), (3.2, high, 3)),
-    ]
     fog = replace(box((-3.1, -3.1, -0.1), (3.1, 3.1, 3.1)), volume=0, surface=False)
     return Scene(
         Camera.look_at((-1.5, -2.5, 1.5), (0.5, 2, 1.2), 48, 32, 1.2, clip_start=0.05),
-        [*(box(*corners) for corners in walls), fog],
+        [*walls_with_window(WINDOW), fog],
         [Material(0.0)],
         [SunLight(20.0, direction=(-1, -0.1, -0.4), angle=0.12)],
         World((0.5, 0.7, 1.0)),

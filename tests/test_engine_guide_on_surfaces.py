@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scenes import box
+from scenes import box, walls_with_window
 
 from engine_core import Camera, Material, PointLight, Scene, Settings, Sink, World, render
 from engine_core.integration.mapping import in_order
@@ -31,22 +31,9 @@ def picture_of_sky() -> np.ndarray:
 
 def room(material: Material | None = None, world: World | None = None, **changes) -> Scene:
     """Walls about a box, and a window in one of them that lets in the sky."""
-    low, high = 0.6, 1.8
-    walls = [
-        ((-3, -3, -0.2), (3, 3, 0)),
-        ((-3, -3, 3), (3, 3, 3.2)),
-        ((-3.2, -3, 0), (-3, 3, 3)),
-        ((-3, 3, 0), (3, 3.2, 3)),
-        ((-3, -3.2, 0), (3, -3, 3)),
-        ((3, -3, 0), (3.2, low, 3)),
-        ((3, high, 0), (3.2, 3, 3)),
-        ((3, low, 0), (3.2, high, low)),
-        ((3, low, high), (3.2, high, 3)),
-        ((0, 0.5, 0), (1, 1.5, 0.8)),
-    ]
     scene = Scene(
         Camera.look_at((-1.5, -2.5, 1.5), (0.5, 2, 1.2), *SIZE, 1.2, clip_start=0.05),
-        [box(*corners) for corners in walls],
+        [*walls_with_window((0.6, 1.8)), box((0, 0.5, 0), (1, 1.5, 0.8))],
         [material or Material(0.7)],
         world=world or World((0.5, 0.7, 1.0)),
     )

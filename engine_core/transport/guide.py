@@ -7,7 +7,7 @@ windows, which are others at each distance, and at each place of a wall. So dime
 stretched: each has a grid of cells that points take equally often, for each cell of the dimensions before,
 and what pilots found of f^2 says how wide they are,
 
-    density ~ sqrt(mean of f^2 in a cell of all three),   f becomes f / density
+    density ~ sqrt(mean of f^2 in a cell of all),   f becomes f / density
 
 as in G. P. Lepage, "A new algorithm for adaptive multidimensional integration", 1978, but of one step, of
 dimensions that depend on each other, and by light. Cells that few points tell of are taken for the product of
@@ -34,7 +34,7 @@ CELLS = 12
 """Of a grid."""
 
 GRIDS = 1 + CELLS + CELLS**2
-"""Of a light, in each tile."""
+"""Of a light, in each tile, in fog; on surfaces those of two dimensions."""
 
 TILES, EDGE = 12, 16
 """Along the picture's shorter edge, about; and pixels along that of a tile, at least."""

@@ -22,7 +22,7 @@ TILES = 16, 8
 """As of `Guide.of`."""
 
 LEARNING = 0.25
-"""Of the samples that surfaces get, what pilots may take, which have a camera ray for many points."""
+"""Of the samples that surfaces get, what pilots may take beyond their first points, about."""
 
 
 class OfOneLight:

@@ -11,8 +11,11 @@ from test_engine_emitters import CASES, FRAME, NORMAL, POINT, Case, _frame
 from engine_core import AreaLight, Material, Mesh, PointLight, SpotLight, SunLight, World
 from engine_core.errors import SceneError
 from engine_core.geometry.triangles import gather_triangles
+from engine_core.shading.closures import Diffuse
+from engine_core.shading.coordinates import NORMAL as SURFACE_NORMAL
 from engine_core.transport.emitters import Emitters, emitter_groups
 from engine_core.transport.emitters.bounds import Bounds
+from engine_core.transport.emitters.environment_map import LUMINANCE
 
 SIZED = [case for case in CASES if not case.meshes]
 
@@ -332,14 +335,57 @@ def test_light_from_a_picture(image: np.ndarray):
     seen = group.tint(None, direction) * measure
     functions = (
         lambda d: np.ones(d.shape[1]),
-        lambda d: np.maximum(NORMAL @ d, 0),
+        lambda d: (d[2] > 0.3).astype(float),
         lambda d: np.exp(d[0] - d[2]),
     )
     for function in functions:
-        uniform = light * function(everywhere) * 4 * np.pi
-        values = seen * function(direction)
+        uniform = light * np.maximum(NORMAL @ everywhere, 0) * function(everywhere) * 4 * np.pi
+        values = seen * np.maximum(NORMAL @ direction, 0) * function(direction)
         error = np.hypot(uniform.std(axis=1), values.std(axis=1)) / np.sqrt(count)
         assert (np.abs(values.mean(axis=1, dtype=float) - uniform.mean(axis=1)) < 4 * error + 1e-4).all()
+    # As if all had the mean colour, and more of it next to the horizon.
+    irradiance = group.irradiance(POINT[:, None], NORMAL[:, None].astype(np.float32))[0]
+    light = LUMINANCE @ light
+    found = (light * np.maximum(NORMAL @ everywhere, 0)).mean() * 4 * np.pi
+    assert irradiance == pytest.approx(found / light.mean() * group.far_fluence[0] / (4 * np.pi), rel=0.25)
+
+
+NORMALS = np.array([(0, 0, 1), (0, -1, 0), (1, 1, 0), (-0.3, 0.1, 0.95), (0.5, -0.6, -0.62)], float)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize("normal", NORMALS / np.linalg.norm(NORMALS, axis=1)[:, None], ids=str)
+def test_surfaces_are_lit_by_a_picture_by_points_of_nearly_one_weight(normal: np.ndarray, bent: bool):
+    """Each brings what all bring in the mean, but for the colour, and what lies below a horizon."""
+    nothing, _ = gather_triangles([], FRAME)
+    image = np.random.default_rng(6).random((40, 80, 1)) ** 4 * np.ones((1, 1, 3))
+    image[9:11, 20] = 500
+    image[30, 50:52] = 900
+    above = Material(surface=Diffuse(0.5, normal=SURFACE_NORMAL if bent else None))
+    world = World(image=image.astype(np.float32), rotation=TURN)
+    (group,), _ = emitter_groups((), world, [above], nothing, FRAME)
+    count = 100_000
+    random = np.random.default_rng(7)
+    u = random.random((3, count), np.float32)
+    direction, measure = group.sample(None, *_at(count, POINT, normal), u[0], u[1:])
+    density = group.pdf(None, *_at(count, POINT, normal), direction)
+    assert np.quantile(np.abs(density * measure - 1), 0.999) < 1e-3
+    values = group.tint(None, direction)[0] * measure * np.maximum(normal @ direction, 0)
+    everywhere = random.normal(size=(3, 16 * count)).astype(np.float32)
+    everywhere /= np.linalg.norm(everywhere, axis=0)
+    lit = (normal @ everywhere > 0) & (group.tint(None, everywhere)[0] > 0)
+    pdf = group.pdf(None, *_at(lit.sum(), POINT, normal), everywhere[:, lit])
+    assert (pdf > 0).all()
+    # Its suns are found by samples alone.
+    cosine = np.maximum(normal @ everywhere, 0) * group.tint(None, everywhere)[0] * 4 * np.pi
+    error = np.hypot(cosine.std() / np.sqrt(16), values.std()) / np.sqrt(count)
+    assert abs(values.mean(dtype=float) - cosine.mean(dtype=float)) < 4 * error
+    if bent:
+        # Some of all directions, wherever they are.
+        assert 0.02 < (normal @ direction < 0).mean() < 0.3
+    else:
+        assert values.std() < 0.5 * values.mean()
+    assert values.max() < 6 * values.mean()
 
 
 def test_a_sun_in_a_picture_is_found():

@@ -78,17 +78,19 @@ CASES = [(name, 1) for name in SCENES] + [("diffuse", 4), ("picture, gloss", 4),
 def test_mean_over_seeds_is_that_of_plain_samples(name, samples):
     scene = SCENES[name]
     assert learned(scene, samples) is not None
+    # Of a sun that few points meet, few seeds do not know their own variance.
+    count = 2 * SEEDS if "picture" in name else SEEDS
     # Of 24 blocks of 8 x 8 pixels.
     found, truth = (
         pictures(scene, seeds, **settings).reshape(seeds, 4, 8, 6, 8, 3).mean(axis=(2, 4)).sum(axis=-1)
-        for seeds, settings in ((SEEDS, {"samples": samples}), (4, {"samples": 512, "integrator": "sobol"}))
+        for seeds, settings in ((count, {"samples": samples}), (4, {"samples": 512, "integrator": "sobol"}))
     )
-    variance = found.var(axis=0, ddof=1) / SEEDS + truth.var(axis=0, ddof=1) / 4
+    variance = found.var(axis=0, ddof=1) / count + truth.var(axis=0, ddof=1) / 4
     z = (found.mean(axis=0) - truth.mean(axis=0)) / np.sqrt(variance)
     # Variances of 23 degrees of freedom: 1.1 in the mean, and .34 of standard deviation.
     assert np.square(z).mean() < 2.5
     whole = [a.mean(axis=(1, 2)) for a in (found, truth)]
-    error = np.sqrt(whole[0].var(ddof=1) / SEEDS + whole[1].var(ddof=1) / 4)
+    error = np.sqrt(whole[0].var(ddof=1) / count + whole[1].var(ddof=1) / 4)
     assert abs(whole[0].mean() - whole[1].mean()) < 4 * error
 
 
@@ -98,7 +100,7 @@ def error_of(scene: Scene, samples: int) -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "samples", "part"), [("diffuse", 1, 0.85), ("diffuse", 8, 0.7), ("picture", 8, 0.8)]
+    ("name", "samples", "part"), [("diffuse", 1, 0.85), ("diffuse", 8, 0.7), ("picture", 4, 0.85)]
 )
 def test_error_is_less_than_without(name, samples, part, monkeypatch):
     by_guide = error_of(SCENES[name], samples)

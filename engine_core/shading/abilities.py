@@ -15,12 +15,13 @@ from .values import Value
 @dataclass(frozen=True)
 class Abilities:
     """emits : radiance of its own. varies : not the same everywhere and to all sides. transmits : light
-    straight on. holds_out : cuts a hole into alpha."""
+    straight on. holds_out : cuts a hole into alpha. bends : may have a normal that is not the surface's."""
 
     emits: bool = False
     varies: bool = False
     transmits: bool = False
     holds_out: bool = False
+    bends: bool = False
 
     def __or__(self, other: Abilities) -> Abilities:
         return Abilities(*(getattr(self, f.name) or getattr(other, f.name) for f in fields(self)))
@@ -40,8 +41,9 @@ def abilities(closure: Any) -> Abilities:
         # A coat is above what emits.
         on_the_way = closure.emission_strength, closure.emission_color, closure.alpha
         varies = _any_value(*on_the_way) or _may(closure.coat_weight)
-        return Abilities(emits, emits and varies, transmits=_may(closure.alpha, but=1.0))
-    found = Abilities()
+        bends = closure.normal is not None or closure.coat_normal is not None
+        return Abilities(emits, emits and varies, transmits=_may(closure.alpha, but=1.0), bends=bends)
+    found = Abilities(bends=getattr(closure, "normal", None) is not None)
     for part in ("first", "second"):
         if hasattr(closure, part):
             found = found | abilities(getattr(closure, part))

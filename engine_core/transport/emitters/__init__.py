@@ -19,6 +19,7 @@ import numpy as np
 from ...geometry.frame import Frame
 from ...geometry.triangles import Triangles
 from ...scene import AreaLight, Light, Material, PointLight, SpotLight, SunLight, World
+from ...shading.abilities import abilities
 from .area import AreaEmitters
 from .base import Emitters, LightHits, Sample
 from .mesh import MeshEmitters
@@ -98,7 +99,8 @@ def emitter_groups(
     elif (world.radiance > 0).any():
         groups.append(WorldEmitter(world))
     if world.image is not None and (world.image > 0).any():
-        groups.append(ImageWorldEmitter(world))
+        bent = any(abilities(material.surface).bends for material in materials)
+        groups.append(ImageWorldEmitter(world, bent))
     pieces = emissive_pieces(materials, triangles, transmits)
     if pieces is not None:
         of_light = pieces.row[pieces.first[:-1]]

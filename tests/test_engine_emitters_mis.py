@@ -3,12 +3,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scenes import place
+from scenes import floor, place
 from test_engine_emitters import CASES, FRAME, NORMAL, POINT, Case, _frame
 
-from engine_core import AreaLight, Material, Mesh, PointLight, SpotLight, SunLight, World
+from engine_core import (
+    AreaLight,
+    Camera,
+    Material,
+    Mesh,
+    PointLight,
+    Scene,
+    Settings,
+    SpotLight,
+    SunLight,
+    World,
+    render,
+)
 from engine_core.errors import SceneError
 from engine_core.geometry.triangles import gather_triangles
 from engine_core.shading.closures import Diffuse
@@ -357,13 +371,13 @@ NORMALS = np.array([(0, 0, 1), (0, -1, 0), (1, 1, 0), (-0.3, 0.1, 0.95), (0.5, -
 @pytest.mark.parametrize("normal", NORMALS / np.linalg.norm(NORMALS, axis=1)[:, None], ids=str)
 def test_surfaces_are_lit_by_a_picture_by_points_of_nearly_one_weight(normal: np.ndarray, bent: bool):
     """Each brings what all bring in the mean, but for the colour, and what lies below a horizon."""
-    nothing, _ = gather_triangles([], FRAME)
+    ground, _ = gather_triangles([floor()], FRAME)
     image = np.random.default_rng(6).random((40, 80, 1)) ** 4 * np.ones((1, 1, 3))
     image[9:11, 20] = 500
     image[30, 50:52] = 900
     above = Material(surface=Diffuse(0.5, normal=SURFACE_NORMAL if bent else None))
     world = World(image=image.astype(np.float32), rotation=TURN)
-    (group,), _ = emitter_groups((), world, [above], nothing, FRAME)
+    (group,), _ = emitter_groups((), world, [above], ground, FRAME)
     count = 100_000
     random = np.random.default_rng(7)
     u = random.random((3, count), np.float32)
@@ -463,3 +477,19 @@ def test_rays_leave_each_box_once_and_come_to_an_end(kind):
         np.maximum(*ends).min(axis=0) > 0
     )
     assert left.max() == 1 and (left[crossed] == 1).all()
+
+
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize("lamps", [[], [PointLight(20.0, position=(1, 1, 3), radius=0.1)]], ids=["0", "1"])
+def test_a_picture_that_is_all_behind_surfaces_lights_none_of_them(bent: bool, lamps: list):
+    image = np.zeros((64, 128, 3), np.float32)
+    image[16:20, 20:24] = 100
+    material = Material(surface=Diffuse(0.5, normal=SURFACE_NORMAL if bent else None))
+    camera = Camera.look_at((0, -6, 3), (0, 0, 0), 24, 16, 1.0)
+    scene = Scene(camera, [floor()], [material], lamps, World(image=image))
+    for integrator in ("sobol", "control_variates"):
+        film = render(scene, Settings(samples=4, threads=1, integrator=integrator))
+        assert film.messages == [] and film.statistics["non-finite samples"] == 0
+        dark = render(replace(scene, world=World()), Settings(samples=64, threads=1)).combined
+        assert np.isfinite(film.combined).all()
+        assert film.combined.mean() == pytest.approx(dark.mean(), rel=0.1, abs=1e-7)

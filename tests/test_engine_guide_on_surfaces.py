@@ -57,13 +57,13 @@ def pictures(scene: Scene, seeds: int = SEEDS, **settings) -> np.ndarray:
 
 
 SHINY = Material(surface=Add(Diffuse(0.4), Glossy(0.4, roughness=0.3)))
-LAMPS = [PointLight(2.0, (-2 + 0.4 * i, -1, 2.5)) for i in range(10)]
+LAMPS = [PointLight(2.0, position=(-2 + 0.4 * i, -1, 2.5)) for i in range(10)]
 SCENES = {
     "diffuse": room(),
     "gloss": room(SHINY),
     "picture": room(world=World(image=picture_of_sky())),
     "picture, gloss": room(SHINY, World(image=picture_of_sky())),
-    "a lamp besides": room(lights=[PointLight(3.0, (0, 0, 2.6), radius=0.2)]),
+    "a lamp besides": room(lights=[PointLight(3.0, position=(0, 0, 2.6), radius=0.2)]),
     "many lamps": room(lights=LAMPS),
     "lens": room(
         camera=replace(room().camera, aperture=0.05, focus_distance=3.0),
@@ -118,7 +118,7 @@ def test_nothing_is_learned_under_the_open_sky_nor_of_lamps_nor_for_other_integr
     assert learned(floor) is None
     # Its highlights are what lobes sample.
     assert learned(replace(floor, materials=[SHINY])) is None
-    assert learned(room(world=World(), lights=[PointLight(3.0, (0, 0, 2.6), radius=0.2)])) is None
+    assert learned(room(world=World(), lights=[PointLight(3.0, position=(0, 0, 2.6), radius=0.2)])) is None
     assert learned(room(Material(0.0))) is None
     asked = []
     monkeypatch.setattr(module.Guide, "of", staticmethod(lambda *_: asked.append(1)))

@@ -99,7 +99,8 @@ def emitter_groups(
     elif (world.radiance > 0).any():
         groups.append(WorldEmitter(world))
     if world.image is not None and (world.image > 0).any():
-        bent = any(abilities(material.surface).bends for material in materials)
+        used = np.unique(triangles.material)
+        bent = any(abilities(materials[number].surface).bends for number in used)
         groups.append(ImageWorldEmitter(world, bent))
     pieces = emissive_pieces(materials, triangles, transmits)
     if pieces is not None:

@@ -8,8 +8,8 @@ corners of its triangle of the grid, every normal n is linear, and so is its cos
 
 One of the three tables is chosen, by its part of what they tell together. Tables are of blocks of the map's
 cells; within one, directions follow luminance alone. What they have of a block is the mean over it of the
-cosine, of parts below the horizon 0, and a bit more: no direction is left out that brings light, and none
-next to the horizon has a weight far above others'. Where the three horizons differ, some samples are wasted.
+cosine, of parts below the horizon 0, and a bit more: no direction is left out that brings light, and few
+next to the horizon have a weight far above others'. Where the three horizons differ, some samples are wasted.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ class EnvironmentByCosine:
         return total * (weight * self._total.take(vertex)).sum(axis=0) * np.float32(4 * np.pi)
 
     def sample(self, normal: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unit directions (3, N) for u (2, N), and their densities per solid angle (N,); 0 where no light is.
+        """Unit directions (3, N) for u (2, N), and their densities per solid angle (N,), 0 where all light is
+        behind.
 
         normal : (3, N) unit.
         """
@@ -118,7 +119,7 @@ class EnvironmentByCosine:
         last = of_column + self._rows.take(row + 1) - 1
         at = first_beyond(self._row_table, of_column + low, last, number + w, self._most[0])
         begin = np.where(at > of_column + low, self._row_table.take(at - 1, mode="wrap"), number)
-        w = (number + w - begin) / np.maximum(self._row_table.take(at) - begin, 1e-300)
+        w = _part(number + w, begin, self._row_table.take(at))
         span = self._columns.take(column), self._columns.take(column + 1)
         direction, luminance = self._map.within(at - of_column, span, self._most[1], v, w)
         return direction, luminance * self._factor(number % rows * columns + column, vertex, weight)
@@ -179,4 +180,9 @@ def _find(table: np.ndarray, row: np.ndarray, n: int, u: np.ndarray) -> tuple[np
     first = row * n
     at = first_beyond(table, first, first + (n - 1), row + u, n)
     low = np.where(at > first, table.take(at - 1, mode="wrap"), row)
-    return at - first, (row + u - low) / np.maximum(table.take(at) - low, 1e-300)
+    return at - first, _part(row + u, low, table.take(at))
+
+
+def _part(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(N,) of the way from ``low`` to ``high`` (N,), inside of it also where both are one."""
+    return np.clip((value - low) / np.maximum(high - low, 1e-300), 0, 1)

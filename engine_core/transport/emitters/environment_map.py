@@ -50,10 +50,13 @@ class EnvironmentMap:
         solid_angle = np.diff(self.z)[:, None] * (2 * np.pi / width)
         cell = 0.25 * (node[:-1, :-1] + node[1:, :-1] + node[:-1, 1:] + node[1:, 1:])
         self.mean = (cell * solid_angle[..., None]).sum(axis=(0, 1)) / (4 * np.pi)
-        self._node = (node @ LUMINANCE.astype(np.float64)).astype(np.float32).reshape(-1)
+        # Over the largest, as float32 has no squares of what is extreme.
+        node = node @ LUMINANCE.astype(np.float64)
+        largest = max(node.max(), 1e-300)
+        self._node = (node / largest).astype(np.float32).reshape(-1)
         weight = np.maximum(cell @ LUMINANCE.astype(np.float64), 0) * solid_angle
         row = weight.sum(axis=1)
-        self._inverse_total = np.float32(1 / max(row.sum(), 1e-37))
+        self._inverse_total = np.float32(largest / max(row.sum(), 1e-300))
         self._row_table = np.concatenate([[0], np.cumsum(row)]) / max(row.sum(), 1e-300)
         # One ascending table of all rows: number of the row + share of it up to the cell's end. What is
         # black to the end of its row is never reached, as the share there is already 1.

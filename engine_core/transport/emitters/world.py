@@ -69,8 +69,8 @@ class ImageWorldEmitter(Emitters):
     is_background = True
 
     def __init__(self, world: World, bent: bool = False) -> None:
-        """bent : whether surfaces may have normals that are not those that are told; these may be lit from
-        where they have no cosine, so some directions follow the luminance alone.
+        """bent : whether surfaces may have normals that are not those that are told: what is next to the
+        horizon of these may be all that lights those. So some directions follow the luminance alone.
         """
         super().__init__(np.ones((1, 3)), np.ones(1), [Linking()])
         self._map = EnvironmentMap(np.maximum(world.image, 0), world.rotation)
@@ -86,7 +86,7 @@ class ImageWorldEmitter(Emitters):
             direction, density = self._by_cosine.sample(normal, u)
         else:
             alone = u[0] < self._alone
-            direction, density = np.empty((3, len(alone))), np.empty(len(alone), np.float32)
+            direction, density = np.empty((3, len(alone)), np.float32), np.empty(len(alone), np.float32)
             rows, v = np.flatnonzero(alone), np.where(alone, u[0], u[0] - self._alone)
             v /= np.where(alone, self._alone, 1 - self._alone)
             v = np.stack([v, u[1]])
@@ -125,7 +125,10 @@ class ImageWorldEmitter(Emitters):
         return np.float32(4 * np.pi) * self._brightness
 
     def irradiance(self, position, normal, which=None):
-        return (self._by_cosine.irradiance(normal) * self._brightness[0])[None]
+        found = self._by_cosine.irradiance(normal)
+        if self._alone:
+            found = (1 - self._alone) * found + self._alone * np.float32(np.pi)
+        return (found * self._brightness[0])[None]
 
     def seen(self, origins, directions, distance, through=None):
         open_sky = np.flatnonzero(np.isinf(distance))

@@ -86,6 +86,11 @@ WRONG: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "clip end before its start": (lambda: _camera(clip_start=2.0, clip_end=1.0), ("clip_end", "1", "2")),
     "power of NaN": (lambda: PointLight(np.nan, name="Lamp"), ("Lamp", "power", "nan")),
     "power of four": (lambda: PointLight((1, 1, 1, 1), name="Lamp"), ("Lamp", "power", "(4,)", "(3,)")),
+    "place for normalize": (
+        lambda: PointLight(1.0, (0, 0, 2), name="Lamp"),
+        ("Lamp", "normalize", "(0, 0, 2)", "True or False"),
+    ),
+    "text as shadow": (lambda: PointLight(1.0, casts_shadow="no", name="Lamp"), ("casts_shadow", "'no'")),
     "negative radius": (lambda: PointLight(1.0, radius=-2, name="Lamp"), ("Lamp", "radius", "-2")),
     "text as radius": (lambda: PointLight(1.0, radius="big", name="Lamp"), ("Lamp", "radius", "big")),
     "infinite position": (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .linking import NO_SHADOW, Linking
-from .validation import fail, set_array, set_colour, set_number
+from .validation import fail, set_array, set_colour, set_number, set_switch
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,8 @@ class Light:
 
     def __post_init__(self) -> None:
         set_colour(self, "power")
+        for field in ("normalize", "casts_shadow", "visible_to_camera"):
+            set_switch(self, field)
 
     @property
     def links(self) -> Linking:

@@ -68,6 +68,15 @@ def set_integer(instance: Any, field: str, low: int, high: int) -> int:
     return number
 
 
+def set_switch(instance: Any, field: str) -> bool:
+    """Replace ``field`` by a bool."""
+    value = getattr(instance, field)
+    if np.ndim(value) != 0 or value not in (0, 1):
+        raise fail(instance, field, f"is {value!r}, wanted True or False")
+    object.__setattr__(instance, field, bool(value))
+    return bool(value)
+
+
 def set_number(
     instance: Any,
     field: str,

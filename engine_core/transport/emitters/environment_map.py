@@ -96,9 +96,7 @@ class EnvironmentMap:
     def sample(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Unit directions (3, N) for u (2, N), and their densities per solid angle (N,)."""
         v = u[1].astype(np.float64)
-        row = (
-            first_beyond(self._row_table, np.ones(len(v), np.intp), self._height + 1, v, self._height + 1) - 1
-        )
+        row = self._row_at(self._row_table, v)
         low, high = self._row_table.take(row), self._row_table.take(row + 1)
         t = (v - low) / np.maximum(high - low, 1e-300)
         return self.within(row, (np.zeros_like(row), np.full_like(row, self._width)), self._width, u[0], t)
@@ -143,14 +141,18 @@ class EnvironmentMap:
         """(N,) density per solid angle with which `sample` returns ``directions`` (3, N)."""
         return self.share_at(directions)[2]
 
+    def _row_at(self, table: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """(N,) rows of cells that values (N,) are in, by a ``table`` (rows + 1,) of where rows begin."""
+        end = self._height + 1
+        return first_beyond(table, np.ones(len(value), np.intp), end, value, end) - 1
+
     def share_at(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows and columns (N,) of the cells that ``directions`` (3, N) meet, and luminance there over its
         integral.
         """
         x, y, z = self._rotation @ directions
         z = (z / np.sqrt(np.maximum(dot(directions, directions), np.float32(1e-30)))).astype(np.float64)
-        one, rows = np.ones(len(z), np.intp), self._height + 1
-        row = first_beyond(self.z, one, rows, z, rows) - 1
+        row = self._row_at(self.z, z)
         low, high = self.z.take(row), self.z.take(row + 1)
         t = np.clip((z - low) / (high - low), 0, 1).astype(np.float32)
         s = (0.5 - np.arctan2(y, x) * np.float32(0.5 / np.pi)) * self._width - np.float32(0.5)

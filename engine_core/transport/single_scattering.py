@@ -158,9 +158,11 @@ class SingleScattering:
             viewer = np.broadcast_to(
                 -(along if len(along) == 1 else along.take(hit, axis=0)).T, (3, len(hit))
             )
-            passed = take(passed, hit)
+            before, passed = take(passed, hit), np.zeros((3, len(hit)), np.float32)
+            # What is black has no terms.
             for rows, terms in self._shader.terms(points, viewer, False):
-                passed[:, slice(None) if rows is None else rows] *= terms.transparency
+                rows = slice(None) if rows is None else rows
+                passed[:, rows] = before[:, rows] * terms.transparency
             on = np.flatnonzero(passed.any(axis=0))
             if on.size == 0 or crossing == self._crossings:
                 break

@@ -35,7 +35,7 @@ from .transport.camera_hits import Pixels
 from .transport.direct_light import DirectLight
 from .transport.fog_rays import FogRays
 from .transport.glow_in_fog import ScatteredGlow
-from .transport.guide import Guide
+from .transport.guide import DIMENSIONS, Guide
 from .transport.laser_in_fog import LaserInFog
 from .transport.laser_on_surfaces import LaserOnSurfaces, Reflection
 from .transport.laser_seen import LasersSeen, beside_beams
@@ -44,6 +44,7 @@ from .transport.lens_targets import LensTargets
 from .transport.light_choice_in_fog import FogChoice
 from .transport.light_clusters import CELL
 from .transport.line_integrals import BISECTIONS
+from .transport.openings import OF_IMAGES, SHARES, find_openings
 from .transport.ray_rule import (
     ALL,
     RAY_POINTS,
@@ -300,6 +301,7 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     coloured = scattering.surfaces.any_transparent
+    opened = by_net and _find_openings(scattering, rest, region, settings.seed, check)
     by_phase = None
     if scattering.is_peaked and rest.size:
         lamps, sine = np.setdiff1d(rest, scattering.of_mesh), np.zeros(len(scattering.lights))
@@ -391,12 +393,15 @@ def _of_fog(
             expected = integrand.told_by(light.unshadowed)
         if choice is None and by_net and len(lights) <= FOLLOWED:
             each = [points_of(np.array([one])) for one in lights]
+            # Where directions go by openings, no grid of them would find much more.
+            dimensions = 1 if opened and np.isin(lights, scattering.lights.of_world).all() else DIMENSIONS
 
             def learn(map_: Map) -> None:
                 pixels = (region[2] - region[0]) * (region[3] - region[1])
                 work = int(LEARNING * pixels * points)
                 pilots = [ThroughLens(one) for one in each] if lens else each
-                light.guide = Guide.of(pilots, partial(pixels_at, region), region, settings.seed, work, map_)
+                at = partial(pixels_at, region), region, settings.seed
+                light.guide = Guide.of(pilots, *at, work, map_, dimensions)
                 for one in each:
                     light.counts.update(one.counts)
 
@@ -490,11 +495,41 @@ def _of_fog(
     others = np.setdiff1d(rest, small)
     apart = np.intersect1d(others, scattering.of_mesh) if by_net and len(others) > EVERY else others[:0]
     # A point that goes to a lamp in one pixel, and to one of many triangles in the next, is followed badly.
-    for name, some in (("lights", np.setdiff1d(others, apart)), ("glowing meshes", apart)):
+    here = np.setdiff1d(others, apart)
+    kinds = [("lights", here), ("glowing meshes", apart)]
+    if by_net and len(here) <= EVERY:
+        # All are sampled at every point: apart, each kind has as many points as it needs.
+        world, suns = np.intersect1d(here, scattering.lights.of_world), here[scattering.sine[here] > 0]
+        lamps = np.setdiff1d(here, np.union1d(world, suns))
+        kinds = [("lights", lamps), ("suns", suns), ("the world", world), *kinds[1:]]
+    for name, some in kinds:
         if some.size:
             by, plain = by_points(some)
             parts.append(Part(f"fog lit by {name}", VOLUME, plain, 1, by))
     return parts
+
+
+def _find_openings(
+    scattering: SingleScattering,
+    lights: np.ndarray,
+    region: Region,
+    seed: int,
+    check: Callable[[], None],
+) -> bool:
+    """Whether the world, where it is one of lights (L,), gets into the fog by openings that are found."""
+    groups = scattering.lights.groups
+    worlds = [
+        group
+        for group, number in zip(groups, scattering.lights.first[:-1], strict=True)
+        if group.is_world and number in lights
+    ]
+    if not worlds:
+        return False
+    shares = OF_IMAGES if any(world.has_tint for world in worlds) else SHARES
+    found = find_openings(scattering, partial(pixels_at, region), region, seed, check, shares)
+    for world in worlds:
+        world.openings = found
+    return found is not None
 
 
 def _with_lens(part: Part) -> Part:

@@ -49,6 +49,9 @@ in noise that hides it on average, though not in most pixels; and how many times
 where as many as usual would be wrong by more.
 """
 
+WHOLE = 0.1
+"""What a net may be wrong by, of what is there in the mean over the picture: the root of its mean square."""
+
 DIM = 0.25
 """Of the mean, what counts as so bright at least in that."""
 
@@ -147,7 +150,9 @@ def enough_points(
     if bright is not None and bright.any():
         relative = np.sqrt(rough) / np.maximum(bright, DIM * (bright.mean() + 3 * around))
         pattern = PATTERN if hidden >= usual else PATTERN_IN_NOISE
-        wanted = min(float(least(relative.mean() ** 2, pattern)), unseen)
+        whole = rough.mean() / (bright.mean() + 3 * around) ** 2
+        wanted = max(float(least(relative.mean() ** 2, pattern)), float(least(whole, WHOLE)))
+        wanted = min(wanted, unseen)
     fewest = usual if hidden >= usual else 1 << int(np.ceil(np.log2(max(hidden, fewest))))
     return max(fewest, 1 << round(np.log2(max(wanted, 1))))
 

@@ -298,7 +298,7 @@ def test_what_is_noise_to_whole_rays_has_a_net(bars):
     meshes += [box((3.2, y, 0), (3.3, y + 0.05, 6)) for y in np.linspace(-3, 3, bars)]
     sunlight = SunLight(3.0, direction=(-1.0, -0.1, -0.3), angle=0.0093)
     film = render(Scene(CAMERA, meshes, [Material(0.0)], [sunlight], volumes=[THIN]), Settings(1))
-    assert ("fog lit by lights" if bars else "fog lit by small lights") in film.statistics
+    assert ("fog lit by suns" if bars else "fog lit by small lights") in film.statistics
 
 
 def test_where_no_ray_meets_fog_nothing_is_small():

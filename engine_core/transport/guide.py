@@ -65,7 +65,7 @@ WORTH = 1.5, 2.0
 class Guide:
     """Grids of tiles, of those lights that gain by it.
 
-    gaining : their numbers, K of them.
+    gaining : their numbers, K of them. dimensions : D, the first so many, that are stretched.
 
     knots : (rows + 2, columns + 2, K, G, CELLS + 1) float32, with tiles beyond the edges. Of a light's G
         grids one is of the first dimension, the next are of the second where the first is in each of its
@@ -75,6 +75,7 @@ class Guide:
     def __init__(self, knots: np.ndarray, gaining: Sequence[int], edge: int, corner: tuple[int, int]) -> None:
         """gaining : numbers of K lights. edge : of a tile. corner : of the first, in pixels."""
         self._knots, self.gaining = knots, gaining
+        self.dimensions = 1 + int(np.log(knots.shape[3]) / np.log(CELLS))
         self._edge, self._corner = edge, corner
 
     @staticmethod

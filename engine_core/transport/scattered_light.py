@@ -182,8 +182,9 @@ class ScatteredLight(Scattered):
                 bounds = np.searchsorted(number, np.arange(len(self._lights) + 1)) * split
                 for one in self.guide.gaining:
                     part = slice(bounds[one], bounds[one + 1])
-                    at[:, part], weight[part] = self.guide.stretched(
-                        one, rays.tiles, of_ray.take(which[part]), at[:, part]
+                    place = at[: self.guide.dimensions, part]
+                    place[:], weight[part] = self.guide.stretched(
+                        one, rays.tiles, of_ray.take(which[part]), place
                     )
             place = self._segment(rays, ray.take(row), light, at[0].reshape(-1, split))
             ray = ray.take(row)

@@ -44,7 +44,7 @@ from .transport.lens_targets import LensTargets
 from .transport.light_choice_in_fog import FogChoice
 from .transport.light_clusters import CELL
 from .transport.line_integrals import BISECTIONS
-from .transport.openings import OF_IMAGES, SHARES, find_openings
+from .transport.openings import open_worlds
 from .transport.ray_rule import (
     ALL,
     RAY_POINTS,
@@ -301,7 +301,9 @@ def _of_fog(
     if len(bare) > MOST_BARE:
         bare, rest = bare[:0], np.union1d(bare, rest)
     coloured = scattering.surfaces.any_transparent
-    opened = by_net and _find_openings(scattering, rest, region, settings.seed, check)
+    opened = by_net and open_worlds(
+        scattering, rest, partial(pixels_at, region), region, settings.seed, check
+    )
     by_phase = None
     if scattering.is_peaked and rest.size:
         lamps, sine = np.setdiff1d(rest, scattering.of_mesh), np.zeros(len(scattering.lights))
@@ -507,29 +509,6 @@ def _of_fog(
             by, plain = by_points(some)
             parts.append(Part(f"fog lit by {name}", VOLUME, plain, 1, by))
     return parts
-
-
-def _find_openings(
-    scattering: SingleScattering,
-    lights: np.ndarray,
-    region: Region,
-    seed: int,
-    check: Callable[[], None],
-) -> bool:
-    """Whether the world, where it is one of lights (L,), gets into the fog by openings that are found."""
-    groups = scattering.lights.groups
-    worlds = [
-        group
-        for group, number in zip(groups, scattering.lights.first[:-1], strict=True)
-        if group.is_world and number in lights
-    ]
-    if not worlds:
-        return False
-    shares = OF_IMAGES if any(world.has_tint for world in worlds) else SHARES
-    found = find_openings(scattering, partial(pixels_at, region), region, seed, check, shares)
-    for world in worlds:
-        world.openings = found
-    return found is not None
 
 
 def _with_lens(part: Part) -> Part:

@@ -66,6 +66,28 @@ WORTH = 1.5
 _OF_ALL = np.float32(0.25 / np.pi)
 
 
+def open_worlds(
+    scattering: SingleScattering,
+    lights: np.ndarray,
+    pixels: Callable[[np.ndarray, np.ndarray], Pixels],
+    region: tuple[int, int, int, int],
+    seed: int,
+    check: Callable[[], None] = lambda: None,
+) -> bool:
+    """Let the world, where it is one of lights (L,), shine into fog by openings, where these gain; whether
+    they do. Other arguments as of `find_openings`.
+    """
+    groups, first = scattering.lights.groups, scattering.lights.first[:-1]
+    worlds = [group for group, n in zip(groups, first, strict=True) if group.is_world and n in lights]
+    if not worlds:
+        return False
+    shares = OF_IMAGES if any(world.has_tint for world in worlds) else SHARES
+    found = find_openings(scattering, pixels, region, seed, check, shares)
+    for world in worlds:
+        world.openings = found
+    return found is not None
+
+
 def find_openings(
     scattering: SingleScattering,
     pixels: Callable[[np.ndarray, np.ndarray], Pixels],

@@ -219,7 +219,14 @@ class NetPicture:
         """(rows, columns) int of tiles: points of each, powers of two. Arguments as in `build`."""
         shape = self._height, self._width
         rough, bright = roughness_of_tiles(
-            self._integrand, self._pixels, shape, TILE * CELL, self._settings.seed, map_, self._check
+            self._integrand,
+            self._pixels,
+            shape,
+            TILE * CELL,
+            self._settings.seed,
+            map_,
+            self._check,
+            1 if self._by.on_line else 2,
         )
         # What points of one of many lights each are wrong by is a pattern, which is looked at as a whole.
         noise, bright = (noise or 0) / (CELL if self._by.chooses else 1), bright if self._by.more else None

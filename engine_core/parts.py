@@ -196,6 +196,7 @@ class OverNet:
     fewest : points that do where noise of what is shown beside hides that they are few; 0 if as many as said
         are taken whatever that is.
     more : whether more than are said are worth it where what these are wrong by would be a pattern.
+    on_line : whether points differ by their first dimension, and hardly by others.
     """
 
     integrand: StagedIntegrand
@@ -208,6 +209,7 @@ class OverNet:
     chooses: bool = False
     fewest: int = 0
     more: bool = False
+    on_line: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,6 +419,7 @@ def _of_fog(
             chooses=choice is not None,
             fewest=FEW_LIGHT_POINTS if choice is None else FEW_OF_MANY_LIGHTS,
             more=choice is None,
+            on_line=not lens and bool((scattering.sine[lights] > 0).all()),
         ), light
 
     def by_rays(

@@ -36,6 +36,10 @@ ERROR = 0.1
 """What the net of N points is wrong by, squared, about: of neighbouring points' mean square difference, over
 N^1.5."""
 
+ON_LINE = 8.0
+"""Times that, of what differs along one dimension alone, told by 64 cells in line: the same as of 8 x 8 where
+edges are few. Of many, those see no more than one for each of 8."""
+
 HIDDEN = 0.4
 """Part of the noise of what the picture shows beside that the net's is no less than: more points would not be
 seen."""
@@ -64,13 +68,14 @@ def roughness_of_tiles(
     seed: int,
     map_: Map,
     check: Callable[[], None],
+    dimensions: int = 2,
 ) -> np.ndarray:
     """(2, rows, columns) float64: mean square of what the integrand, its channels summed, differs by between
     neighbours of a net, and its mean; of a few places in each tile and in those around.
 
     pixels_at : columns and rows (B,) of the picture -> its pixels. shape : its rows and columns.
     edge : of a tile, in pixels. map_ : runs a function over items on the workers. check : called before every
-        batch; may raise.
+        batch; may raise. dimensions : the first one or two of the net, along which there are neighbours.
     """
     rows, columns = (-(-n // edge) for n in shape)
     step = edge // PILOTS
@@ -91,10 +96,11 @@ def roughness_of_tiles(
         stage = integrand.first(some, middle)
         f = values_at(integrand, stage, len(some), None, net.reshape(len(net), -1))[:3]
         f = f.reshape(3, len(some), -1)
-        return np.stack([_roughness(f, net), f.sum(axis=0, dtype=np.float64).mean(axis=1)])
+        return np.stack([_roughness(f, net[:dimensions]), f.sum(axis=0, dtype=np.float64).mean(axis=1)])
 
     found = np.concatenate(map_(roughness, range(0, len(pixels), size)), axis=1)
     found = found.reshape(2, rows, PILOTS, columns, PILOTS).mean(axis=(2, 4))
+    found[0] *= ON_LINE if dimensions == 1 else 1
     # What few pilots missed, those around may tell.
     weights = np.array([1.0, 2.0, 1.0])
     for axis in (1, 2):

@@ -257,6 +257,28 @@ def test_what_values_differ_by_is_the_same_of_a_shifted_net(dimensions):
     np.testing.assert_allclose(found, found[0], rtol=0.5)
 
 
+def test_many_edges_in_line_are_told():
+    """Of what differs along the first dimension alone: in proportion to what 32 points are wrong by."""
+    random, told = np.random.default_rng(4), {}
+    for edges in (3, 24):
+        ends = np.sort(random.uniform(0, 1, (2000, edges)), axis=1)[:, :, None]
+
+        def jittered(count: int) -> np.ndarray:
+            return (np.arange(count) + random.random((2000, count))) / count
+
+        def lit(u: np.ndarray, ends: np.ndarray = ends) -> np.ndarray:
+            return (u[:, None] > ends).sum(axis=1) % 2
+
+        truth = np.square(lit(jittered(32)).mean(axis=1) - lit(jittered(4096)).mean(axis=1)).mean()
+        u = jittered(64)
+        f, net = np.stack([lit(u)] * 3) / 3.0, np.stack([u, random.permuted(u, axis=1)])
+        told[edges] = [_roughness(f, net[:n]).mean() / truth for n in (1, 2)]
+    of_few, of_many = told.values()
+    assert points_of_tiles.ON_LINE * of_few[0] == pytest.approx(of_few[1], rel=0.35)
+    assert of_many[0] == pytest.approx(of_few[0], rel=0.25)
+    assert of_many[1] < 0.5 * of_few[1]
+
+
 def test_points_go_where_values_differ():
     random = np.random.default_rng(3)
     net = (np.stack(np.divmod(np.arange(64), 8)) + random.random((2, 64)))[:, None] / 8

@@ -176,6 +176,21 @@ def test_one_window_is_one_rectangle_and_few_places_are_none():
         assert ((made.last > made.first) & np.isfinite(made.first)).all()
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_places_of_one_coordinate_are_not_told_apart(seed):
+    random = np.random.default_rng(seed)
+    line = np.stack([np.zeros(2000), random.random(2000)])
+    place = np.concatenate([line, random.random((2, 40))], axis=1)
+    made = rectangles(np.zeros(3), np.ones(3), np.full(2040, 2), place)
+    assert (made.last > made.first).all()
+    # Where float32 has hardly a digit left for it.
+    low = np.ones(3, np.float32)
+    for size in (1e-4, 1e-6, 1e-7, 0.0):
+        place = (1 + size * random.random((2, 2000))).astype(np.float32)
+        made = rectangles(low, low + np.float32(size), np.full(2000, 2), place)
+        assert made is None or (made.last > made.first).all()
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_the_window_of_a_room_is_found(name):
     scene, frame = SCENES[name], frame_of(SCENES[name])

@@ -117,7 +117,7 @@ def find_openings(
         places.append(some)
         met.append(take(at, hit) + take(direction, hit) * far.take(hit))
         count = sum(a.shape[2] for a in out)
-        if not FEWEST <= count < ENOUGH:
+        if not 2 * FEWEST <= TIMES * count <= TIMES * ENOUGH:
             break
     if not 2 * FEWEST <= count <= OPEN * tried:
         return None
@@ -126,11 +126,12 @@ def find_openings(
     half = random.random(count) < 0.5
     others = out[..., ~half]
     best, worth = None, WORTH
-    for part in OUTLIERS:
+    parts = np.array(OUTLIERS)
+    lows, highs = np.quantile(np.concatenate([places, met], axis=1), [parts, 1 - parts], axis=1)
+    for low, high in zip(lows, highs, strict=True):
         check()
         # All fog that is seen is inside, so that no place has another map than the next.
-        ends = np.quantile(np.concatenate([places, met], axis=1), [part, 1 - part], axis=1)
-        low, high = np.minimum(ends[0], places.min(axis=1)), np.maximum(ends[1], places.max(axis=1))
+        low, high = np.minimum(low, places.min(axis=1)), np.maximum(high, places.max(axis=1))
         found = _weighed(low.astype(np.float32), high.astype(np.float32), *out[..., half], places)
         for share in shares if found else ():
             openings = Openings(*found, share)
@@ -211,7 +212,12 @@ def rectangles(low: np.ndarray, high: np.ndarray, side: np.ndarray, place: np.nd
     if not parts:
         return None
     first, last = np.stack([part.corners for part in parts], axis=-1).astype(np.float32)
-    return Rectangles(low, high, np.array([part.side for part in parts]), first, last)
+    # float32 may leave nothing of what is tiny.
+    some = np.flatnonzero((last > first).all(axis=0))
+    if some.size == 0:
+        return None
+    side = np.array([part.side for part in parts])
+    return Rectangles(low, high, side.take(some), take(first, some), take(last, some))
 
 
 class _Part:
@@ -233,11 +239,14 @@ class _Part:
                 np.prod(np.maximum.accumulate(a, axis=1) - np.minimum.accumulate(a, axis=1), axis=0)
                 for a in (ordered, ordered[:, ::-1])
             )
-            both = (before[:-1] + after[-2::-1])[FEWEST - 1 : n - FEWEST]
+            # What is in one place is not told apart.
+            apart = ordered[axis, 1:] > ordered[axis, :-1]
+            both = np.where(apart, before[:-1] + after[-2::-1], np.inf)[FEWEST - 1 : n - FEWEST]
             k = int(both.argmin())
             if area - both[k] > max(self.saved, least):
                 self.saved, k = area - float(both[k]), k + FEWEST
-                self._axis, self._at = axis, float(ordered[axis, k - 1 : k + 1].mean())
+                self._axis, self._upper = axis, ordered[axis, k]
+                self._at = float(ordered[axis, k - 1 : k + 1].mean(dtype=np.float64))
 
     def cut(self) -> list[_Part]:
         """Both parts of it."""
@@ -245,7 +254,7 @@ class _Part:
         for upper in (False, True):
             bounds = self._bounds.copy()
             bounds[0 if upper else 1, self._axis] = self._at
-            rows = np.flatnonzero((self._places[self._axis] >= self._at) == upper)
+            rows = np.flatnonzero((self._places[self._axis] >= self._upper) == upper)
             found.append(_Part(self.side, take(self._places, rows), bounds))
         return found
 

@@ -35,18 +35,18 @@ OPEN = 0.35
 ENOUGH, TIMES = 2000, 4
 """Directions that get out; fewer are tried so many times in all, at most."""
 
-FEWEST = 48
+FEWEST = 64
 """Directions that get out by a rectangle, at least."""
 
 MOST = 16
 """Rectangles."""
 
-SAVING, BY_CHANCE = 0.03, 15.0
+SAVING, BY_CHANCE = 0.03, 30.0
 """Of a rectangle's area, what two are less that it is cut into, at least; and that times the places found in
 it, as there are gaps between them by chance.
 """
 
-WIDER, MARGIN = 0.04, 4.0
+WIDER, MARGIN = 0.04, 8.0
 """Part of its edges by which a rectangle is wider to either side than the places in it; and the mean distance
 of these by which it is, too. What gets in beside rectangles is found by few samples, and bright."""
 

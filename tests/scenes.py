@@ -87,6 +87,13 @@ def box(low: Any = (-1, -1, -1), high: Any = (1, 1, 1), shared: bool = True, **f
     return Mesh(vertices, triangles, name="Box", **fields)
 
 
+def picture_of_sky() -> np.ndarray:
+    """Brighter towards the window of `walls_with_window`, and with a sun that few directions meet."""
+    image = np.full((16, 32, 3), (0.3, 0.5, 0.9), np.float32)
+    image[10, 14:18] = 12.0
+    return image
+
+
 def walls_with_window(window: tuple[float, float]) -> list[Mesh]:
     """Of a room of 6 x 6 x 3, and a hole in the one to the right: from where to where in y and z."""
     low, high = window

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scenes import box, walls_with_window
+from scenes import box, picture_of_sky, walls_with_window
 
 from engine_core import Camera, Material, PointLight, Scene, Settings, Sink, World, render
 from engine_core.integration.mapping import in_order
@@ -20,13 +20,6 @@ from engine_core.transport.guide_on_surfaces import guide_of_sky
 
 SIZE = 48, 32
 SEEDS = 24
-
-
-def picture_of_sky() -> np.ndarray:
-    """Brighter towards the window, and with a sun that few directions meet."""
-    image = np.full((16, 32, 3), (0.3, 0.5, 0.9), np.float32)
-    image[10, 14:18] = 12.0
-    return image
 
 
 def room(material: Material | None = None, world: World | None = None, **changes) -> Scene:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scenes import box, walls_with_window
+from scenes import box, picture_of_sky, walls_with_window
 
 from engine_core import Camera, Material, PointLight, Scene, Settings, SunLight, Volume, World, render
 from engine_core import parts as module
@@ -24,13 +24,6 @@ from engine_core.transport.single_scattering import SingleScattering
 WINDOW = 0.8, 1.6
 SIZE = 48, 32
 SEEDS = 24
-
-
-def picture_of_sky() -> np.ndarray:
-    """Brighter towards the window, and with a sun that few directions meet."""
-    image = np.full((16, 32, 3), (0.3, 0.5, 0.9), np.float32)
-    image[10, 14:18] = 12.0
-    return image
 
 
 def room(g: float = 0.0, **changes) -> Scene:

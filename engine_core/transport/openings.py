@@ -25,6 +25,7 @@ RAYS, PLACES, DIRECTIONS = 48, 2, 64
 directions that are tried from each."""
 
 MOST_PLACES = 4096
+"""Of these, at random: of many bodies there are many segments."""
 
 DEPTH = 3.0
 """Optical depth up to which there are places."""
@@ -162,7 +163,6 @@ def _places(
     t = media.start + (np.arange(PLACES)[:, None] + random.random((PLACES, len(length)))) / PLACES * length
     along, origin = (take(a, media.ray)[:, None] for a in (rays.direction, rays.origin))
     places = (origin + along * t).reshape(3, -1).astype(np.float32)
-    # Of many bodies there are many segments.
     return take(places, random.permutation(places.shape[1])[:MOST_PLACES])
 
 

@@ -3,6 +3,8 @@
 
 Who is in a room sees the sky by its windows. A direction leaves the box through one opening, or through none,
 so its density is known: that of any direction to the world, and that of the opening that it goes through.
+As portals (B. Bitterli, J. Novak, W. Jarosz, "Portal-Masked Environment Map Sampling", 2015), but of
+rectangles that are found, need not be right, and share directions with the world by the balance heuristic.
 """
 
 from __future__ import annotations
@@ -22,8 +24,6 @@ OTHERS = np.array([[1, 2], [0, 2], [0, 1]])
 """Of each axis the two others."""
 
 _LEAST, _BELOW_ONE = np.float32(2.0**-24), np.float32(1 - 2.0**-24)
-
-_TINY = np.float32(1e-30)
 
 _RARELY = 1e-3
 """Of the largest weight, the least."""

@@ -20,7 +20,7 @@ _LEAST = np.float32(1e-37)
 
 
 class _World(Emitters):
-    """Measure: 1 / pdf.
+    """What both kinds share: points in space are served by openings, surfaces are not. Measure: 1 / pdf.
 
     openings : through which most of it comes to points in space; None for from all sides.
     """
@@ -53,9 +53,11 @@ class _World(Emitters):
         raise NotImplementedError
 
     def _on_surface(self, normal: np.ndarray, u: np.ndarray) -> Sample:
+        """Directions (3, M) from points of ``normal`` (3, M), and measures (M,), at u (2, M)."""
         raise NotImplementedError
 
     def _pdf_on_surface(self, normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """(M,) densities of these."""
         raise NotImplementedError
 
     @property
